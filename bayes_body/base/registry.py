@@ -81,6 +81,7 @@ _BUILT_IN: dict[Place, str] = {
     ("kernel", "hmc"): "bayes_body.kernels.hmc.hmc_filter",
     ("kernel", "annealed"): "bayes_body.kernels.smc.annealed_filter",
     ("kernel", "particle_bp"): "bayes_body.kernels.messages.particle_bp",
+    ("kernel", "laplace"): "bayes_body.kernels.laplace.laplace_filter",
     ("kernel", "tempered"): "bayes_body.kernels.smc.tempered_smc",
 }
 _terms: dict[Place, Term] = {}

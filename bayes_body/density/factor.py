@@ -42,6 +42,27 @@ def variables(state: State, previous: State | None = None) -> dict[Variable, Arr
     return current if previous is None else current | {Variable(name, -1): value for name, value in previous.items()}
 
 
+@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["inner", "outer"])
+@dataclass(frozen=True)
+class Composed:
+    """A log-potential that compares rows of numbers with data: the sum of `outer(inner(variables), data)`.
+
+    Kinematics and cameras are in `inner`, and what a row costs is in `outer`. Kernels that need second derivatives compute those of `outer` alone,
+    and take `inner` as linear (density/expansion.py).
+
+    Attributes:
+        inner: `variables -> (*row, entry)`, such as the expected pixels of points, (camera, point, 2); a `jax.tree_util.Partial`.
+        outer: `((*row, entry), data) -> (*row,)`, the log-potential of each row, which depends on this row alone; a `jax.tree_util.Partial`.
+    """
+
+    inner: Callable[[Variables], Array]
+    outer: Callable[[Array, Any], Array]
+
+    def __call__(self, values: Variables, data: Any) -> Scalar:
+        """Return the log-potential of the variables, given a frame's data."""
+        return jnp.sum(self.outer(self.inner(values), data))
+
+
 @partial(
     jax.tree_util.register_dataclass, meta_fields=["name", "side", "scope", "has_gradient"], data_fields=["log_potential", "simulate", "curvature"]
 )
@@ -53,7 +74,7 @@ class Factor:
         name: unique in its model; also the key of the factor's data in a frame's data.
         side: a tempering kernel tempers only likelihoods; a constraint always applies at full power.
         scope: the variables that it reads; it is given no others.
-        log_potential: `(variables, data) -> scalar`; a `jax.tree_util.Partial`, so that its arrays are leaves of the model.
+        log_potential: `(variables, data) -> scalar`; a `jax.tree_util.Partial`, so that its arrays are leaves of the model, or a `Composed`.
         has_gradient: whether its gradient is useful; for example, the gradient of a nearest look-up is zero everywhere.
         simulate: `(key, variables) -> data`, which draws a frame's data from the distribution whose normalised log-density is `log_potential`; a
             `jax.tree_util.Partial`. None if the factor is not such a distribution.

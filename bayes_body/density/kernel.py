@@ -39,6 +39,11 @@ class FilterInfo(NamedTuple):
             `oscillation` (node,): how far the mean jumped back in the last iteration, in standard deviations; NaN with fewer than three iterations.
             `joint_ess`: effective sample size of the joint draws.
             `proposal_shares` (node, 4): shares of messages, prior, detections and normal fit in the weight of a node's particles.
+        modes: figures of the kernel `laplace`. Empty from other kernels.
+            `attempt`: how the frame was done at last: 0 at first, 1 again from more starts, 2 by the kernel `tempered`.
+            `steps`: number of steps of the searches for modes.
+            `modes`: number of distinct modes that compete.
+            `pareto_k`: tail shape of the weights of the last attempt by importance sampling; NaN if they are nearly equal.
     """
 
     ancestors: Array
@@ -51,6 +56,7 @@ class FilterInfo(NamedTuple):
     evaluations: Array
     markov: Mapping[str, Array] = {}  # never written to
     messages: Mapping[str, Array] = {}  # never written to
+    modes: Mapping[str, Array] = {}  # never written to
 
 
 class Kernel(Protocol):

@@ -14,10 +14,11 @@ from pydantic import BaseModel
 from bayes_body.base.toml.options import options_of
 from bayes_body.density.kernel import Kernel, NamedKernel
 from bayes_body.kernels.hmc import hmc_filter
+from bayes_body.kernels.laplace import laplace_filter
 from bayes_body.kernels.messages import particle_bp as message_passing
 from bayes_body.kernels.smc import annealed_filter, particle_filter, tempered_smc
 
-__all__ = ["annealed", "hmc", "particle_bp", "sir", "tempered"]
+__all__ = ["annealed", "hmc", "laplace", "particle_bp", "sir", "tempered"]
 
 
 def _named[**Arguments](kind: str, schema: type[BaseModel], build: Callable[Arguments, Kernel]) -> Callable[Arguments, NamedKernel]:
@@ -62,6 +63,7 @@ def _explained(schema: type[BaseModel]) -> str:
 
 annealed = _named("annealed", annealed_filter.Options, annealed_filter.build_kernel)
 hmc = _named("hmc", hmc_filter.Options, hmc_filter.build_kernel)
+laplace = _named("laplace", laplace_filter.Options, laplace_filter.build_kernel)
 particle_bp = _showing("particle_bp", message_passing.Options, message_passing.build_kernel, message_passing.build_kernel)
 sir = _named("sir", particle_filter.Options, particle_filter.build_kernel)
 tempered = _named("tempered", tempered_smc.Options, tempered_smc.build_kernel)

@@ -4,7 +4,9 @@ On a CPU, a batch should fit into the cache, and the program should use every co
 (docs/decisions). On an accelerator, one `vmap` is best.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import jax
@@ -19,6 +21,7 @@ BATCH = 32
 ROWS = 1
 # The mesh axis along which particles are distributed over devices.
 DEVICES = "particle"
+_ALONE: ContextVar[bool] = ContextVar("one device", default=False)
 
 
 def over_particles(
@@ -53,6 +56,16 @@ def over_particles(
     return jax.tree.map(lambda leaf: leaf[:count], results)
 
 
+@contextmanager
+def one_device() -> Iterator[None]:
+    """Let `over_particles` use one device in the `with` block, for a program that spreads something else over the devices, such as runs."""
+    token = _ALONE.set(True)
+    try:
+        yield
+    finally:
+        _ALONE.reset(token)
+
+
 def axes_of(count: int, batch: int, axis: str) -> tuple[str, ...]:
     """Return the axis names with which a collective within `over_particles` covers all `count` particles, if each device has one batch."""
     spread = jax.default_backend() == "cpu" and len(_devices(count, batch)) > 1
@@ -61,7 +74,7 @@ def axes_of(count: int, batch: int, axis: str) -> tuple[str, ...]:
 
 def _devices(count: int, batch: int) -> list[Any]:
     # With few particles a second device does not help, and padding would cost more.
-    return jax.devices() if count > batch else jax.devices()[:1]
+    return jax.devices() if count > batch and not _ALONE.get() else jax.devices()[:1]
 
 
 def _pad(leaf: jax.Array, multiple: int) -> jax.Array:

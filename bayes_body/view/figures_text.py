@@ -28,12 +28,20 @@ def figures_text(summary: Mapping[str, Any]) -> str:
         f"agreement   {fitted}R-hat over runs at most {shown('rhat_max', '.2f')}; "
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
-    return "\n".join([*lines, *_accuracy(summary)])
+    return "\n".join([*lines, *_redone(summary), *_accuracy(summary)])
 
 
 def warning_line(sentence: str) -> str:
     """Return a warning as a line below the figures."""
     return f"warning     {sentence}"
+
+
+def _redone(summary: Mapping[str, Any]) -> list[str]:
+    """Return the line about frames that the kernel `laplace` did again; other kernels have none."""
+    if summary.get("redone_starts_share") is None:
+        return []
+    starts, tempered = (100 * summary[f"redone_{how}_share"] for how in ("starts", "tempered"))
+    return [f"done again  {starts:.1f} % of the frames from more starts, {tempered:.1f} % by the kernel tempered"]
 
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:

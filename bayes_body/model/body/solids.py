@@ -16,13 +16,13 @@ A body is placed by a pose, or by the transforms of its parts.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.base.geometry import transforms
 from bayes_body.base.geometry.namespaces import device_array
@@ -249,7 +249,7 @@ def penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pa
     """The largest penetration of the spheres of each pair in `topology.penetration`, metres; negative if they are apart."""
     if not body.topology.penetration:
         return jnp.zeros((0,), body.lengths.dtype)
-    return _deepest(_sphere_depths(*_sphere_pairs(body, T_world_part)))
+    return _deepest(*_sphere_pairs(body, T_world_part)).depth[: len(body.topology.penetration)]
 
 
 def smooth_penetration_depths(body: Body, T_world_part: Transform) -> Float[Array, " pair"]:
@@ -257,34 +257,59 @@ def smooth_penetration_depths(body: Body, T_world_part: Transform) -> Float[Arra
     if not body.topology.penetration:
         return jnp.zeros((0,), body.lengths.dtype)
     first, second = _sphere_pairs(body, T_world_part)
-    depths = jax.lax.stop_gradient(_sphere_depths(first, second))
-    is_deepest = (depths == _deepest(depths)).astype(depths.dtype)
-    # Equally deep ones share the gradient.
-    shares = is_deepest / jnp.sum(is_deepest, axis=(0, 1))
-    a, b = (jnp.sum(shares.sum(axis=1 - side) * spheres, axis=1) for side, spheres in enumerate((first, second)))
-    return _sphere_depths(a[:, None], b[:, None])[0, 0]
+    deepest = jax.lax.optimization_barrier(_deepest(jax.lax.stop_gradient(first), jax.lax.stop_gradient(second)))
+    a, b = (
+        sum((jnp.where(chosen == index, spheres[:, index], 0.0) for index in range(spheres.shape[1])), jnp.zeros_like(spheres[:, 0]))
+        for chosen, spheres in ((deepest.first, first), (deepest.second, second))
+    )
+    return _sphere_depth(a, b)[: len(body.topology.penetration)]
+
+
+# Loops over pairs are compiled to vectors of this length. A shorter rest is computed number by number, which takes longer than the vectors.
+LANES = 8
 
 
 def _sphere_pairs(body: Body, T_world_part: Transform) -> tuple[Float[Array, "xyzr sphere pair"], Float[Array, "xyzr sphere pair"]]:
-    """The spheres of the first and of the second part of each pair. Pairs are last, so that everything is elementwise over them."""
-    spheres = sphere_approximation(body, T_world_part)
+    """The spheres of the first and of the second part of each pair. Pairs are last, so that everything is elementwise over them.
+
+    Further pairs of empty spheres fill the last lanes.
+    """
+    spheres, pairs = sphere_approximation(body, T_world_part), np.array(body.topology.penetration)
     table = jnp.concatenate([jnp.transpose(spheres.centres, (2, 1, 0)), spheres.radii.T[None]])
-    first, second = (
-        jax.lax.optimization_barrier(jnp.stack([table[:, :, pair[side]] for pair in body.topology.penetration], axis=-1)) for side in (0, 1)
-    )
-    return first, second
+    count = -(-len(pairs) // LANES) * LANES
+    chosen = np.zeros((table.shape[-1], 2, count), bool)
+    for side in (0, 1):
+        chosen[pairs[:, side], side, np.arange(len(pairs))] = True
+    # A product with ones and zeros: exact, and with its transpose much faster than picking the columns.
+    both = jnp.dot(table.reshape(-1, table.shape[-1]), jnp.asarray(chosen.reshape(len(chosen), -1), table.dtype), precision="highest")
+    both = jax.lax.optimization_barrier(both.reshape(*table.shape[:2], 2, count))
+    return both[:, :, 0], both[:, :, 1]
 
 
-def _sphere_depths(first: Float[Array, "xyzr sphere pair"], second: Float[Array, "xyzr sphere pair"]) -> Float[Array, "sphere sphere pair"]:
-    a, b = first[:, :, None], second[:, None]
+def _sphere_depth(a: Float[Array, "xyzr pair"], b: Float[Array, "xyzr pair"]) -> Float[Array, " pair"]:
     x, y, z = (a[k] - b[k] for k in range(3))
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
     return a[3] + b[3] - jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12))
 
 
-def _deepest(depths: Float[Array, "sphere sphere pair"]) -> Float[Array, " pair"]:
-    # Not a reduction over two small axes, which XLA runs unvectorised, ten times slower.
-    return reduce(jnp.maximum, depths.reshape(-1, depths.shape[-1]))
+class _Deepest(NamedTuple):
+    """The depth of the deepest spheres of each pair of parts, and the indices of these spheres in both parts."""
+
+    depth: Float[Array, " pair"]
+    first: Int[Array, " pair"]
+    second: Int[Array, " pair"]
+
+
+def _deepest(first: Float[Array, "xyzr sphere pair"], second: Float[Array, "xyzr sphere pair"]) -> _Deepest:
+    # Sphere by sphere, all pairs of parts at once: XLA does not vectorise a reduction over two small axes, which takes four times as long.
+    indices = jnp.zeros(first.shape[-1], jnp.int32)
+    deepest = _Deepest(_sphere_depth(first[:, 0], second[:, 0]), indices, indices)
+    for i in range(first.shape[1]):
+        for j in range(second.shape[1]):
+            depth = _sphere_depth(first[:, i], second[:, j])
+            is_deeper = depth > deepest.depth
+            deepest = _Deepest(*(jnp.where(is_deeper, new, old) for new, old in zip((depth, i, j), deepest, strict=True)))
+    return deepest
 
 
 def pose_space(body: Body) -> Flat:

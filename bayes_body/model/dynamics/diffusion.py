@@ -167,15 +167,18 @@ class TruncatedWalk(InBox):
         return (self.low - self.loc) / self.scale, (self.high - self.loc) / self.scale
 
     def sample(self, key: Key, sample_shape: tuple[int, ...] = ()) -> Float[Array, "*sample dof"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Sample by inversion: one uniform number per dof, whatever the limits.
+        """Sample by inversion: one uniform number per dof, whatever the limits."""
+        return self.icdf(jax.random.uniform(key, (*sample_shape, *self.event_shape), self.loc.dtype))
 
-        The uniform number is drawn between the erf values of the two sides, not between their probabilities. This takes two thirds of the time of
-        ndtri, and is as exact while `loc` is inside the box.
+    def icdf(self, q: Float[Array, "*sample dof"]) -> Float[Array, "*sample dof"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return the values below which the dofs lie with probabilities q.
+
+        The inversion is between the erf values of the two sides, not between their probabilities. This takes two thirds of the time of ndtri, and is
+        as exact while `loc` is inside the box.
         """
         low, high = (jax.lax.erf(side * ROOT_HALF) for side in self._sides)
-        level = jax.random.uniform(key, (*sample_shape, *self.event_shape), self.loc.dtype)
         nearly_one = 1 - jnp.finfo(self.loc.dtype).epsneg
-        z = jax.lax.erf_inv(jnp.clip(low + (high - low) * level, -nearly_one, nearly_one)) / ROOT_HALF
+        z = jax.lax.erf_inv(jnp.clip(low + (high - low) * q, -nearly_one, nearly_one)) / ROOT_HALF
         return jnp.clip(self.loc + self.scale * z, self.low, self.high)
 
     def log_prob(self, value: Pose, intermediates: Any = None) -> Scalar:  # pyright: ignore[reportIncompatibleMethodOverride]

@@ -34,7 +34,7 @@ from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Configuration, Key, Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
-from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Composed, Factor, Variable, Variables
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import PARTS, ByParts
@@ -76,10 +76,16 @@ class Detections:
         self, points: Float[Array, "point 3"], pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"]
     ) -> Scalar:
         """Return the sum of the present points' log-densities, normalised."""
+        return jnp.sum(self.log_densities(self.expected(points), pixels, confidence))
+
+    def log_densities(
+        self, expected: Float[Array, "camera point 2"], pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"]
+    ) -> Float[Array, "camera point"]:
+        """Return the log-density of each point's pixels, normalised, given the expected pixels; 0 for a point that is not present."""
         present = confidence > self.least_confidence
         # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
         pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
-        return jnp.sum(jnp.where(present, self._log_densities(pixels, confidence, self.expected(points)), 0.0))
+        return jnp.where(present, self._log_densities(pixels, confidence, expected), 0.0)
 
     def expected(self, points: Float[Array, "point 3"]) -> Float[Array, "camera point 2"]:
         """Return the expected pixels of points in each camera."""
@@ -154,7 +160,7 @@ class Options(Schema):
 @partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections"])
 @dataclass(frozen=True)
 class MarkersGaussian:
-    """The log-potential of a whole body as a pytree, and the distribution with that density.
+    """The distribution of the pixels of a whole body's markers, as a pytree.
 
     Attributes:
         markers: indices of the visible markers in the body.
@@ -168,12 +174,15 @@ class MarkersGaussian:
     body: Body
     detections: Detections
 
-    def __call__(self, values: Variables, evidence: MarkerEvidence) -> Scalar:
+    @property
+    def log_potential(self) -> Composed:
         """log p(z | configuration), normalised."""
-        configuration = values[Variable(self.body.variable)]
-        pixels, confidence = (jnp.asarray(array)[:, list(self.places)] for array in evidence)
+        return Composed(jax.tree_util.Partial(_expected, self), jax.tree_util.Partial(_log_densities, self))
+
+    def expected(self, configuration: Configuration) -> Float[Array, "camera present 2"]:
+        """Return the expected pixels of the body's markers."""
         # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
-        return _nan_with(configuration, self.detections.log_density(self._points(configuration), pixels, confidence))
+        return _nan_with(configuration, self.detections.expected(self._points(configuration)))
 
     def _points(self, configuration: Configuration) -> Float[Array, "present 3"]:
         return placed_markers(self.body, configuration)[list(self.markers), :]
@@ -200,6 +209,15 @@ class MarkersGaussian:
         return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
 
 
+def _expected(whole: MarkersGaussian, values: Variables) -> Float[Array, "camera present 2"]:
+    return whole.expected(values[Variable(whole.body.variable)])
+
+
+def _log_densities(whole: MarkersGaussian, expected: Float[Array, "camera present 2"], evidence: MarkerEvidence) -> Float[Array, "camera present"]:
+    pixels, confidence = (jnp.asarray(array)[:, list(whole.places)] for array in evidence)
+    return whole.detections.log_densities(expected, pixels, confidence)
+
+
 class PartMarkers(NamedTuple):
     """The markers that a part holds: positions in its frame, metres, indices in `MARKERS`, and whether each counts."""
 
@@ -223,7 +241,7 @@ def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "
     return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
 
 
-def _nan_with(configuration: Configuration, value: Scalar) -> Scalar:
+def _nan_with(configuration: Configuration, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return jnp.where(jnp.isfinite(jnp.sum(configuration)), value, jnp.nan)
 
 
@@ -266,4 +284,4 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     drawn = jax.tree_util.Partial(simulate, whole, jnp.asarray(options.missing, dtype))
     if body.variable == PARTS:
         return plate_factor(name, "likelihood", whole.by_parts(), simulate=drawn)
-    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=whole, simulate=drawn)
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=whole.log_potential, simulate=drawn)

@@ -15,12 +15,13 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from bayes_body.base.geometry.transforms import Transform
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Configuration, Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema
-from bayes_body.density.factor import Factor, Variable, Variables
+from bayes_body.density.factor import Composed, Factor, Variable, Variables
 from bayes_body.model.body.solids import Body, part_transforms, penetration_depths, smooth_penetration_depths, widened
 
 
@@ -42,22 +43,27 @@ def _depths(
     return depth_function(widened(body, configuration), T_world_part) - yield_m
 
 
-def _hard(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
-    del soft_sd, data
+def _hard(body: Body, yield_m: Scalar, values: Variables, data: None) -> Scalar:
+    del data
     # A step has no gradient, so do not trace one.
     return jnp.where(jnp.any(_depths(body, yield_m, jax.lax.stop_gradient(values[Variable(body.variable)])) > 0), -jnp.inf, 0.0)
 
 
-def _soft(body: Body, yield_m: Scalar, soft_sd: Scalar, values: Variables, data: None) -> Scalar:
+def _excess(body: Body, yield_m: Scalar, values: Variables) -> Float[Array, "pair 1"]:
+    return _depths(body, yield_m, values[Variable(body.variable)], smooth_penetration_depths)[:, None]
+
+
+def _soft(soft_sd: Scalar, excess: Float[Array, "pair 1"], data: None) -> Float[Array, " pair"]:
     del data
-    depths = _depths(body, yield_m, values[Variable(body.variable)], smooth_penetration_depths)
-    return -0.5 * jnp.sum((jnp.maximum(depths, 0.0) / soft_sd) ** 2)
+    return -0.5 * (jnp.maximum(excess[:, 0], 0.0) / soft_sd) ** 2
 
 
 @register("potential", "intersection", Options)
 def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     """Build the factor for one body."""
     dtype = body.lengths.dtype
-    arrays = (body, jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype))
-    potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft, *arrays)
+    yield_m, soft_sd = jnp.asarray(options.yield_m, dtype), jnp.asarray(options.soft_sd_m, dtype)
+    hard = jax.tree_util.Partial(_hard, body, yield_m)
+    soft = Composed(jax.tree_util.Partial(_excess, body, yield_m), jax.tree_util.Partial(_soft, soft_sd))
+    potential = hard if options.mode == "hard" else soft
     return Factor(name=name, side="constraint", scope=(Variable(body.variable),), log_potential=potential)

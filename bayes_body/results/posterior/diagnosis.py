@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from bayes_body.results.posterior.message_passing import MessagePassing
 from bayes_body.results.posterior.mixing import Mixing
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Attribute of a tree: whether its kernel declares that its particles are a sample of the posterior.
 SAMPLES_POSTERIOR = "samples_posterior"
+# Prefix of the names of the figures of the kernel `laplace` in the tree's group `filter`.
+MODES = "laplace_"
 # Numbers of frames over which ancestors are traced back.
 LAGS = (1, 5, 10)
 
@@ -87,6 +89,7 @@ class Diagnosis:
         smoothed: whether a draw is a path of a smoother, which took its states from a filter with this kernel.
         first_frame: number of the first frame in the recording.
         declared_sample: whether the kernel declares that its particles are a sample of the posterior; None if it does not say.
+        attempts: how the kernel `laplace` did a frame at last: 0 at first, 1 again from more starts, 2 by the kernel `tempered`; None for others.
     """
 
     kernel: str
@@ -108,6 +111,14 @@ class Diagnosis:
     smoothed: bool = False
     first_frame: int = 0
     declared_sample: bool | None = None
+    attempts: Int[np.ndarray, "run frame"] | None = None
+
+    @property
+    def redone(self) -> tuple[float, float]:
+        """The shares of frames, over all runs, that were done again from more starts and by the kernel `tempered`; NaN for other kernels."""
+        if self.attempts is None:
+            return float("nan"), float("nan")
+        return float((self.attempts == 1).mean()), float((self.attempts == 2).mean())
 
     @property
     def mode_seeker(self) -> bool:

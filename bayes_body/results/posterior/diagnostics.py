@@ -4,11 +4,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from bayes_body.results.posterior.agreement import independent_draws, rhat_of_block
 from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, stored_spaces, weights_of_runs
-from bayes_body.results.posterior.diagnosis import LAGS, Diagnosis, Thresholds, declared_sample, first_frame_of
+from bayes_body.results.posterior.diagnosis import LAGS, MODES, Diagnosis, Thresholds, declared_sample, first_frame_of
 from bayes_body.results.posterior.genealogy import unique_ancestors
 from bayes_body.results.posterior.message_passing import message_passing_of, worst_of_messages
 from bayes_body.results.posterior.mixing import mixing_of, thinned_figure
@@ -63,6 +63,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         smoothed=bool(tree.attrs.get("smoothed", 0)),
         first_frame=first_frame_of(tree),
         declared_sample=declared_sample(tree),
+        attempts=_attempts(tree),
     )
 
 
@@ -113,6 +114,8 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
         "acceptance_rate": _extreme(np.median, diagnosis.acceptance_rate),
         "log_evidence_sd": diagnosis.evidence_sd,
     }
+    if diagnosis.attempts is not None:
+        figures |= dict(zip(("redone_starts_share", "redone_tempered_share"), diagnosis.redone, strict=True))
     if diagnosis.mixing is not None:
         figures |= {"markov_rhat_max": _extreme(np.max, diagnosis.mixing.rhat), "divergences": float(diagnosis.mixing.divergences.sum())}
     if diagnosis.messages is not None:
@@ -135,6 +138,11 @@ def _acceptance_rate(tree: "xr.DataTree") -> Float[np.ndarray, "run frame layer"
     if "acceptance_rate" in group:
         return np.asarray(group["acceptance_rate"], float)
     return np.full((*group["log_evidence"].shape, 1), np.nan)
+
+
+def _attempts(tree: "xr.DataTree") -> Int[np.ndarray, "run frame"] | None:
+    group = tree["filter"]
+    return np.asarray(group[f"{MODES}attempt"], int) if f"{MODES}attempt" in group else None
 
 
 def _image_presence(tree: "xr.DataTree") -> tuple[tuple[str, ...], Bool[np.ndarray, "frame camera"] | None]:

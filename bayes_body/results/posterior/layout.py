@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
 from bayes_body.results.posterior.blocks import SPACE
-from bayes_body.results.posterior.diagnosis import SAMPLES_POSTERIOR
+from bayes_body.results.posterior.diagnosis import MODES, SAMPLES_POSTERIOR
 from bayes_body.results.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.results.posterior.mixing import PREFIX
 from bayes_body.results.posterior.thinning import INDEPENDENT, MARKOV_RHAT, MEAN, OF_ALL, RHAT
@@ -78,6 +78,7 @@ def variables(draws: Draws) -> list[Variable]:
             for name, dims in DIMS.items()
             if name in messages
         ),
+        *(Variable("filter", MODES + name, by_frame, _modes(name)) for name in draws.frames[0].info.modes),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
         *(Variable("filter", OF_ALL + name, _figure_dims(name, spaces), _figure(name)) for name in draws.frames[0].figures),
     ]
@@ -92,6 +93,7 @@ def place_in_tree(name: str) -> str:
         "info": "sample_stats/ancestor" if key == "ancestors" else f"filter/{RENAMED.get(key, key)}",
         "markov": f"filter/{PREFIX}{key}",
         "messages": f"filter/{key}" if key in DIMS else "",
+        "modes": f"filter/{MODES}{key}",
         "figures": f"filter/{OF_ALL}{key}",
         "seen": "filter/seen",
     }
@@ -162,6 +164,10 @@ def _markov(name: str) -> Callable[[FrameResult], Any]:
 
 def _message(name: str) -> Callable[[FrameResult], Any]:
     return lambda frame: frame.info.messages[name]
+
+
+def _modes(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.info.modes[name]
 
 
 def sizes(draws: Draws) -> dict[str, int]:

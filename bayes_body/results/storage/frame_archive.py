@@ -3,8 +3,8 @@
 `frames/index.npz` has what the posterior lacks of each frame: its digest, its seconds, and which runs restarted. A frame that is read back is
 bit-identical to the frame in a file of its own; its digest verifies this. Frames of a smoothed run are stored from the last to the first.
 
-A frame's arrays have no Python objects. Their names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `figures.NAME`,
-`seen`, `seconds`, `seconds_ready`, `restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
+A frame's arrays have no Python objects. Their names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `modes.NAME`,
+`figures.NAME`, `seen`, `seconds`, `seconds_ready`, `restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import h5py
 
 # Fields of a kernel's diagnostics that are mappings.
-MAPPINGS = ("markov", "messages")
+MAPPINGS = ("markov", "messages", "modes")
 
 
 class Place(NamedTuple):

@@ -1,0 +1,126 @@
+r"""A density's terms about a point: value, slope and a precision without negative eigenvalues, for searches of a mode.
+
+The terms are all factors of a frame; the motion prior is left out. Three kinds of factors have a precision:
+
+- `Composed` factors, $\sum_r f_r(y_r)$ with rows $y = g(x)$: the generalised Gauss-Newton matrix (Schraudolph 2002)
+  $J^T M J$, with $J = \partial g / \partial x$ and the blocks $M_r = -\partial^2 f_r / \partial y_r^2$, whose negative eigenvalues are set to 0. So
+  a wrong keypoint of a heavy-tailed density has no precision.
+- factors with a `curvature`, which is over variables: $S^T C S$ with $S$ the derivative of the variables.
+- all others: minus their second derivatives, with negative eigenvalues set to 0.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.base.shapes import Scalar
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Composed, Factor, State, variables
+
+# Added to the square of half the distance between two eigenvalues, so that its root has a slope.
+TINY = 1e-20
+
+
+class Expansion(NamedTuple):
+    """A log-density near a point x: `value + gradient · d - d · precision · d / 2`.
+
+    Attributes:
+        value: the log-density at x, nats.
+        gradient: its gradient.
+        precision: symmetric, without negative eigenvalues.
+    """
+
+    value: Scalar
+    gradient: Float[Array, " dof"]
+    precision: Float[Array, "dof dof"]
+
+
+def expand(density: Density, state_of: Callable[[Float[Array, " dof"]], State], x: Float[Array, " dof"]) -> Expansion:
+    """Return the expansion of the sum of a density's factors.
+
+    Args:
+        density: the density of a frame. No factor may read the previous frame.
+        state_of: the state at a point.
+        x: the point.
+    """
+    composed = [factor for factor in density.factors if isinstance(factor.log_potential, Composed)]
+    others = [factor for factor in density.factors if not isinstance(factor.log_potential, Composed)]
+    pieces = [_of_composed(composed, density, state_of, x)] if composed else []
+    for factor in others:
+        expansion = _of_any if factor.curvature is None else _of_curved
+        pieces.append(expansion(factor, density, state_of, x))
+    return Expansion(*(sum(terms[1:], terms[0]) for terms in zip(*pieces, strict=True)))
+
+
+def _of_composed(factors: list[Factor], density: Density, state_of: Callable[[Array], State], x: Array) -> Expansion:
+    """Return the expansion of all composed factors. Their inner functions are linearised together, as they share the kinematics."""
+    potentials = [potential for factor in factors if isinstance(potential := factor.log_potential, Composed)]
+
+    def rows_at(x: Array) -> list[Array]:
+        values = variables(state_of(x))
+        return [potential.inner({v: values[v] for v in factor.scope}) for factor, potential in zip(factors, potentials, strict=True)]
+
+    rows, push = jax.linearize(rows_at, x)
+    jacobians = jax.vmap(push, out_axes=-1)(jnp.eye(x.shape[0], dtype=x.dtype))
+    pieces = []
+    for factor, potential, y, jacobian in zip(factors, potentials, rows, jacobians, strict=True):
+        outer = partial(_outer, potential, density.data.get(factor.name))
+        value, slope = jax.value_and_grad(outer)(y)
+        J, M = jacobian.reshape(-1, *jacobian.shape[-2:]), _row_blocks(outer, y)
+        gradient = jnp.einsum("ria,ri->a", J, slope.reshape(J.shape[:2]))
+        pieces.append(Expansion(value, gradient, jnp.einsum("ria,rib->ab", J, jnp.einsum("rij,rjb->rib", M, J))))
+    return Expansion(*(sum(terms[1:], terms[0]) for terms in zip(*pieces, strict=True)))
+
+
+def _outer(potential: Composed, data: Any, rows: Array) -> Scalar:
+    return jnp.sum(potential.outer(rows, data))
+
+
+def _row_blocks(outer: Callable[[Array], Scalar], rows: Float[Array, "*row entry"]) -> Float[Array, "rows entry entry"]:
+    """Return minus the second derivatives of each row's term. Rows are independent: one directional derivative for each entry gives all blocks."""
+    directions = [jnp.zeros_like(rows).at[..., entry].set(1.0) for entry in range(rows.shape[-1])]
+    blocks = jnp.stack([-jax.jvp(jax.grad(outer), (rows,), (direction,))[1] for direction in directions], axis=-1)
+    return without_negative(blocks.reshape(-1, *blocks.shape[-2:]))
+
+
+def without_negative(matrices: Float[Array, "*batch entry entry"]) -> Float[Array, "*batch entry entry"]:
+    """Return symmetric matrices with their negative eigenvalues set to 0; a closed form up to two entries."""
+    size = matrices.shape[-1]
+    if size == 1:
+        return jnp.maximum(matrices, 0.0)
+    if size > 2:
+        values, vectors = jnp.linalg.eigh(matrices)
+        return (vectors * jnp.maximum(values, 0.0)[..., None, :]) @ jnp.swapaxes(vectors, -1, -2)
+    a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
+    mean, half = 0.5 * (a + b), jnp.sqrt((0.5 * (a - b)) ** 2 + c * c + TINY)
+    low, high = jnp.maximum(mean - half, 0.0), jnp.maximum(mean + half, 0.0)
+    # The matrix is mean I + half U, where U has the eigenvalues -1 and 1.
+    identity = jnp.eye(2, dtype=matrices.dtype)
+    unit = (matrices - mean[..., None, None] * identity) / half[..., None, None]
+    return 0.5 * ((low + high)[..., None, None] * identity + (high - low)[..., None, None] * unit)
+
+
+def _of_curved(factor: Factor, density: Density, state_of: Callable[[Array], State], x: Array) -> Expansion:
+    """Return the expansion of a factor with a curvature over variables."""
+    value, gradient = jax.value_and_grad(lambda x: factor(variables(state_of(x)), density.data))(x)
+    assert factor.curvature is not None
+    values = variables(state_of(x))
+    by_variable = factor.curvature({v: values[v] for v in factor.scope}, density.data.get(factor.name))
+    slopes = jax.jacfwd(lambda x: {name: state_of(x)[name].ravel() for name in by_variable})(x)
+    return Expansion(
+        value, gradient, sum((slopes[name].T @ C @ slopes[name] for name, C in by_variable.items()), jnp.zeros((x.shape[0],) * 2, x.dtype))
+    )
+
+
+def _of_any(factor: Factor, density: Density, state_of: Callable[[Array], State], x: Array) -> Expansion:
+    """Return the expansion of a factor that has a gradient and nothing else."""
+
+    def log_potential(x: Array) -> Scalar:
+        return factor(variables(state_of(x)), density.data)
+
+    value, gradient = jax.value_and_grad(log_potential)(x)
+    return Expansion(value, gradient, without_negative(-jax.hessian(log_potential)(x)))

@@ -1,0 +1,236 @@
+r"""A filter for smooth likelihoods: a Gaussian about the mode of each frame's posterior, corrected by importance weights and slopes.
+
+The prediction is one Gaussian (density/gaussian_view.py). In its whitened coordinates the log-density of a frame is
+$f(z) = -\tfrac12 |z|^2 + \log C + \log \psi + \log L$. A frame takes four steps:
+
+1. the mode of f and the precision A there (laplace/mode.py);
+2. draws of $q = \mathcal N(z^*, A^{-1})$, in pairs whose covariance is exact (laplace/proposal.py);
+3. weights $w = e^{f} / q$. Their mean is the evidence $\hat p(z_t \mid z_{1:t-1})$. It contains the share of the prediction that constraints exclude;
+4. moments corrected by the slopes $\nabla f$ (smc/moment_correction.py). Otherwise dofs that the images hardly determine lose variance in each frame.
+
+The weights say when the Gaussian is not good enough: by Pareto k and the effective sample size. Then the frame is done again. The second attempt
+searches modes from several starts: the mean and draws of the prediction. Its proposal is the mixture of the Gaussians at all modes, with a share of
+the prediction itself. If that fails too, the frame is sampled by tempered SMC (smc/tempered_smc.py), with the same prediction.
+
+The weights of a single mode do not see another one. With two cameras or more there is hardly ever another. With one camera a limb may flip towards
+the camera or away from it, while all figures look good: then take the kernel `tempered`.
+"""
+
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Flag, Key, Scalar
+from bayes_body.base.toml.read import validate
+from bayes_body.base.toml.schema import Count, Schema
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
+from bayes_body.density.gaussian_view import GaussianView, gaussian_view
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
+from bayes_body.kernels.batching import one_device, over_particles
+from bayes_body.kernels.laplace.mode import find_mode
+from bayes_body.kernels.laplace.pareto import pareto_shape
+from bayes_body.kernels.laplace.proposal import balanced_noise, draw, proposal_from
+from bayes_body.kernels.smc import tempered_smc
+from bayes_body.kernels.smc.moment_correction import corrected_moments, noise_beside, with_moments
+from bayes_body.kernels.smc.moves import check_gradients
+from bayes_body.kernels.smc.tempering import MOST_IMPOSSIBLE
+from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
+
+# A frame is done again if the tail of its weights is heavier, or if a smaller share of its draws is effective.
+MOST_K, LEAST_ESS = 0.7, 0.1
+# The kernel of a frame that importance sampling cannot do.
+TEMPERED = {"prediction": "gaussian", "move": "hmc", "moves": 1, "leapfrog_steps": 5, "target_ess": 0.3, "final_stages": 4}
+
+
+class Options(Schema):
+    """Options of `[kernel] kind = "laplace"`.
+
+    A frame in which a few weights dominate (Pareto k above 0.7, or less than a tenth of the draws effective) is done again from `more_starts` starts.
+    If that does not help, `fallback` does it.
+    """
+
+    particles: Count = 256
+    """[particles] per run."""
+    starts: Count = 1
+    """starting points of the search for modes in every frame: the mean of the prediction, and draws of it."""
+    more_starts: Count = 8
+    """starting points in a frame that is done again."""
+    most_steps: Count = 12
+    """largest number of steps of a search."""
+    fallback: Literal["tempered", "none"] = "tempered"
+    """what samples a frame if importance sampling fails: `"tempered"`, by stages of Hamiltonian Monte Carlo, or `"none"`."""
+
+
+class Attempt(NamedTuple):
+    """The draws of one frame.
+
+    Attributes:
+        number: how often the frame was done before.
+        draws: whitened coordinates.
+        slopes: the gradient of the log-density at each.
+        log_weights: normalised.
+        log_evidence: log of the mean weight.
+        is_lost: whether all weights are zero.
+        impossible: share of the draws without density.
+        pareto_k: tail shape of the weights.
+        modes: number of distinct modes that compete.
+        steps: steps of all searches so far.
+        evaluations: evaluations of the likelihood so far.
+    """
+
+    number: Int[Array, ""]
+    draws: Float[Array, "draw dof"]
+    slopes: Float[Array, "draw dof"]
+    log_weights: LogWeights
+    log_evidence: Scalar
+    is_lost: Flag
+    impossible: Scalar
+    pareto_k: Scalar
+    modes: Scalar
+    steps: Int[Array, ""]
+    evaluations: Int[Array, ""]
+
+    @property
+    def is_bad(self) -> Flag:
+        """Whether a few weights dominate. A Pareto k of NaN belongs to weights that are nearly equal."""
+        few = effective_sample_size(self.log_weights) < LEAST_ESS * self.log_weights.shape[0]
+        return self.is_lost | few | (self.pareto_k > MOST_K)
+
+
+def build_kernel(**options: Any) -> Kernel:
+    """Return a kernel that samples one frame. It returns as many particles as it is given.
+
+    Args:
+        options: those of `Options`, except `particles`.
+
+    Raises:
+        InputError: an option that does not exist or is outside its range.
+    """
+    checked = validate(Options, options, "laplace()")
+    tempered = tempered_smc.build_kernel(**TEMPERED)
+
+    def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        check_gradients(density, "the kernel laplace", ", or use --kernel tempered with --set move=random_walk")
+        view_key, attempt_key, end_key, tempered_key = jax.random.split(key, 4)
+        # Draws are few. Another device would be waited for longer than it computes.
+        with one_device():
+            view = gaussian_view(view_key, density.with_previous(particles), "the kernel laplace", "use --kernel tempered")
+            last = _attempts(attempt_key, view, particles.log_weights.shape[0], checked)
+            result = _result(end_key, view, last)
+            if checked.fallback == "none":
+                return result
+            redone = partial(_by_tempering, tempered, tempered_key, particles, density, view)
+            return jax.lax.cond(last.is_bad, redone, lambda *done: done, *result)
+
+    return kernel
+
+
+def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempt:
+    """Return the first attempt, or if it is bad the second."""
+
+    def attempt(before: Attempt) -> Attempt:
+        return _attempt(jax.random.fold_in(key, before.number), view, before, options)
+
+    shapes = jax.eval_shape(lambda: _nothing(view, count))
+    first = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    more = 2 if options.more_starts > options.starts else 1
+    return jax.lax.while_loop(lambda last: (last.number == 0) | (last.is_bad & (last.number < more)), attempt, first)
+
+
+def _nothing(view: GaussianView, count: int) -> Attempt:
+    """Return an attempt without content."""
+    zero, none = jnp.zeros((), view.mean.dtype), jnp.zeros((), jnp.int32)
+    draws = jnp.zeros((count, view.mean.shape[0]), view.mean.dtype)
+    return Attempt(none, draws, draws, draws[:, 0], zero, jnp.zeros((), bool), zero, zero, zero, none, none)
+
+
+def _attempt(key: Key, view: GaussianView, before: Attempt, options: Options) -> Attempt:
+    start_key, draw_key = jax.random.split(key)
+    count, dof = before.draws.shape
+    starts = max(options.starts, options.more_starts)
+    is_used = jnp.arange(starts) < jnp.where(before.number == 0, options.starts, starts)
+    begin = jax.random.normal(start_key, (starts, dof), view.mean.dtype).at[0].set(0.0)
+    modes = jax.lax.map(lambda start: find_mode(view, start[0], options.most_steps * start[1]), (begin, is_used))
+    proposal = proposal_from(modes, is_used)
+    draws, log_proposal = draw(draw_key, proposal, count)
+    log_density, slopes = over_particles(lambda z, view: jax.value_and_grad(view.log_density_at)(z), draws, view)
+    weights = normalise(log_density - log_proposal)
+    steps = jnp.sum(modes.steps)
+    return Attempt(
+        number=before.number + 1,
+        # The prediction goes on where no draw explains the frame.
+        draws=jnp.where(weights.lost, balanced_noise(draw_key, count, dof), draws),
+        slopes=slopes,
+        log_weights=weights.log_weights,
+        log_evidence=weights.log_sum - jnp.log(count),
+        is_lost=weights.lost,
+        impossible=jnp.mean(~jnp.isfinite(log_density)),
+        pareto_k=pareto_shape(weights.log_weights),
+        modes=proposal.modes.astype(draws.dtype),
+        steps=before.steps + steps,
+        # An expansion pushes all dofs through the linearised kinematics.
+        evaluations=before.evaluations + count + steps * (dof + 1),
+    )
+
+
+def _result(key: Key, view: GaussianView, last: Attempt) -> tuple[Particles, FilterInfo]:
+    """Return the particles of an attempt, with corrected moments, and its figures."""
+    corrected = with_moments(last.draws, last.log_weights, corrected_moments(last.draws, last.log_weights, last.slopes))
+    # Slopes know nothing of a wall without a slope.
+    draws = jnp.where((last.impossible > MOST_IMPOSSIBLE) | last.is_lost, last.draws, corrected)
+    noise = noise_beside(key, draws, last.log_weights, view.unread_size)
+    states = jax.vmap(lambda noise, z: view.completed(noise, jnp.zeros((), jnp.int32), view.draw(z)))(noise, draws)
+    count = last.log_weights.shape[0]
+    ess = effective_sample_size(last.log_weights)
+    info = FilterInfo(
+        ancestors=jnp.full((count,), NO_ANCESTOR),
+        ess=ess,
+        survival_rate=(ess / count)[None],
+        inverse_temperatures=jnp.ones((1,), ess.dtype),
+        log_evidence=jnp.where(last.is_lost, -jnp.inf, last.log_evidence),
+        lost=last.is_lost,
+        acceptance_rate=jnp.full((1,), jnp.nan, ess.dtype),
+        evaluations=last.evaluations,
+        modes={"attempt": last.number - 1, "steps": last.steps, "modes": last.modes, "pareto_k": last.pareto_k},
+    )
+    return Particles(states, last.log_weights), info
+
+
+def _by_tempering(
+    tempered: Kernel, key: Key, particles: Particles, density: Density, view: GaussianView, failed: Particles, info: FilterInfo
+) -> tuple[Particles, FilterInfo]:
+    """Return the frame as `tempered` samples it, with the figures of the failed attempts."""
+    share_key, key = jax.random.split(key)
+    after, done = tempered(key, particles, density)
+    return after, info._replace(
+        ess=done.ess,
+        survival_rate=(done.ess / after.log_weights.shape[0])[None],
+        # The evidence of `tempered` is relative to the prediction inside the constraints.
+        log_evidence=done.log_evidence + _log_allowed(share_key, view, after.log_weights.shape[0]),
+        lost=done.lost,
+        acceptance_rate=jnp.nanmean(done.acceptance_rate)[None],
+        evaluations=info.evaluations + done.evaluations,
+        modes={**info.modes, "attempt": jnp.full_like(info.modes["attempt"], 2)},
+    )
+
+
+def _log_allowed(key: Key, view: GaussianView, count: int) -> Scalar:
+    """Return the log of the mean of the constraints and potentials over the prediction."""
+
+    def log_allowed(z: Float[Array, " dof"], view: GaussianView) -> Scalar:
+        state, previous = view.state_at(z), view.density.ancestor(0)
+        return view.density.log_constraint(state, previous) + view.density.log_potential(state, previous)
+
+    drawn = jax.random.normal(key, (count, view.mean.shape[0]), view.mean.dtype)
+    return normalise(over_particles(log_allowed, drawn, view)).log_sum - jnp.log(count)
+
+
+@register("kernel", "laplace", Options, samples_posterior=True, instead="use --kernel tempered")
+def build(options: Options, **_: Any) -> Kernel:
+    """Build the kernel from a definition's options."""
+    return build_kernel(**options.model_dump(exclude={"particles"}))
