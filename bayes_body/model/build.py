@@ -63,6 +63,11 @@ class Model:
         return sorted(evidence_of(self.definition))
 
     @property
+    def reads_pictures(self) -> bool:
+        """Whether a likelihood compares the body with more than keypoints. Only then are pictures decoded to learn which cameras see a frame."""
+        return self.reads != ["keypoints"]
+
+    @property
     def reads_before(self) -> bool:
         """Whether a factor reads the frame before, so that frames are to be read with it (`read_frame`)."""
         return any(factor.reads_previous for factor in self.factors)

@@ -13,9 +13,8 @@ from bayes_body.initial.search.person_search import PersonSearch
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.fit import frame_fit
+from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import is_off
-from bayes_body.results.posterior import mean_pose
 from bayes_body.tracking.draws import FrameResult
 
 # Of the frames that show a person who was not found before, those that are searched.
@@ -40,7 +39,7 @@ class PersonRecovery:
 
     def off(self, result: FrameResult, frame: int) -> Bool[np.ndarray, " run"]:
         """Return whether each run's mean body is off the person by the limits of `metrics.plausibility`; False where nothing tells."""
-        return is_off(frame_fit(self.session, self.model, mean_pose(result, self.model), frame))
+        return is_off(result_fit(self.session, self.model, result, frame, to_judge=True))
 
     def found(self, frame: int, is_first: bool) -> Model | None:
         """Return the model that starts at the person who is found in a frame.
@@ -66,7 +65,7 @@ class PersonRecovery:
             return None
         placed = apply_first_pose(self.model, self.session, poses_of(self.model, self.session, detection, frame, self.seed))
         pose = np.asarray(placed.initial[placed.body.variable], float)
-        if is_off(frame_fit(self.session, placed, pose[None], frame)).any():
+        if is_off(frame_fit(self.session, placed, pose[None], frame, to_judge=True)).any():
             return None
         self.show(f"frame {self.session.frame_number(frame)}: the person was lost, and is found again; {detection.precision}")
         return placed

@@ -17,10 +17,9 @@ from bayes_body.density.kernel import Kernel
 from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.fit import frame_fit
+from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
-from bayes_body.results.posterior import mean_pose
 from bayes_body.results.posterior.diagnostics import diagnose, sentences
 from bayes_body.results.posterior.stream import tree_on_demand
 from bayes_body.runs.finish import pair_remarks
@@ -152,8 +151,8 @@ def run_sentences(session: Session, draws: Draws, bar: bool = False) -> list[str
         InputError: a frame's images or file cannot be read.
     """
     model, count = draws.model, len(draws.frames)
-    first = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0)
-    fits = [frame_fit(session, model, mean_pose(draws.frames[index], model), index) for index in watched("figures", bar)(range(count))]
+    first = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0, to_judge=True)
+    fits = [result_fit(session, model, draws.frames[index], index, to_judge=True) for index in watched("figures", bar)(range(count))]
     figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, fits)}
     remarks = pair_remarks(session, model, count, bar)
     with waiting("diagnostics", bar):

@@ -7,7 +7,7 @@ import numpy as np
 
 from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.recording.observation.frames import prefetch, read_frame
+from bayes_body.recording.observation.frames import cameras_with_picture, prefetch, read_frame
 from bayes_body.recording.session.session import Session
 
 # Number of frames that are read forwards and then yielded backwards: a video cannot be read backwards.
@@ -25,6 +25,9 @@ class Observed(NamedTuple):
 def observations(session: Session, model: Model, frames: range) -> Generator[Observed]:
     """Yield the data of each frame; a background thread reads the next one.
 
+    For a model that reads no pictures, none is decoded: a camera sees a frame if its file exists or its video is long enough. A picture that is
+    damaged or shows nothing makes no difference to such a model, whose keypoints are those of the session.
+
     Raises:
         InputError: a frame cannot be read.
     """
@@ -39,6 +42,8 @@ def observations_backwards(session: Session, model: Model, last: int, visibility
 
 
 def _observe(session: Session, model: Model, index: int, visibility: Sequence[bool] | None = None) -> Observed:
+    if visibility is None and not model.reads_pictures:
+        visibility = cameras_with_picture(session, index)
     frame = read_frame(session, index, model.reads_before, visibility)
     factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
-    return Observed(np.array(frame.seen if visibility is None else visibility), everywhere(model.observe(frame)), factors)
+    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.observation.pictures import check_index, read_colour, read_greys
+from bayes_body.recording.observation.pictures import check_index, has_picture, read_colour, read_greys
 from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.readers.camera_path import cameras_at
@@ -29,7 +29,8 @@ class Frame(NamedTuple):
     markers, else by the detector's name. An entry is empty if nothing was found, and None if the camera has no keypoints or did not see the
     frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's images, including those that did not see the
     frame; () means the sizes of `images`. `cameras` have their extrinsics in this frame; () if they are not known. `before` is the frame before,
-    if it was asked for and there is one; it knows no frame before itself.
+    if it was asked for and there is one; it knows no frame before itself. `have_image` says which cameras see the frame if that is known without
+    reading the images.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -40,11 +41,12 @@ class Frame(NamedTuple):
     keypoints: tuple[Keypoints | None, ...] | None = None
     cameras: tuple[CameraSpec, ...] = ()
     before: "Frame | None" = None
+    have_image: tuple[bool, ...] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
         """Which cameras have an image of this frame."""
-        return tuple(image is not None for image in self.images)
+        return self.have_image if self.have_image is not None else tuple(image is not None for image in self.images)
 
     @property
     def largest(self) -> tuple[int, int]:
@@ -83,17 +85,27 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
     before = read_frame(session, index - 1) if with_before and index else None
     if seen is None:
         images = tuple(read_greys(session, index, view) for view in session.views)
-        seen = [image is not None for image in images]
+        have_image = tuple(image is not None for image in images)
     else:
-        images = _images(session, index, seen)
+        have_image = tuple(seen)
+        images = _images(session, index, have_image)
     sizes = tuple(view.camera.size_px for view in session.views)
-    keypoints = _keypoints(session, index, seen)
+    keypoints = _keypoints(session, index, have_image)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before)
-    silhouettes = [_Silhouette(session, index, view, has_image) for view, has_image in zip(session.views, seen, strict=True)]
+        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before, have_image)
+    silhouettes = [_Silhouette(session, index, view, has_image) for view, has_image in zip(session.views, have_image, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before, have_image)
+
+
+def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
+    """Which cameras have a picture of a frame, without decoding any (`pictures.has_picture`). For a model that reads none, these see the frame.
+
+    Raises:
+        InputError: no such frame, or not a video.
+    """
+    return tuple(has_picture(session, index, view) for view in session.views)
 
 
 def _images(session: Session, index: int, have_image: Sequence[bool]) -> Sequence[NDArray[np.uint8] | None]:

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.images import NotSeenError, read_grey
 from bayes_body.recording.readers.images import read_colour as read_colour_image
-from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.readers.video import has_video_frame, read_video_frame
 from bayes_body.recording.session.session import Session, View
 
 # An image with a smaller standard deviation of grey values shows nothing: the camera was off, covered or blinded.
@@ -53,6 +53,19 @@ def read_greys(session: Session, index: int, view: View) -> Greys | None:
     except NotSeenError:
         return None
     return np.asarray(grey, np.uint8) if _shows_something(grey[::4, ::4]) else None
+
+
+def has_picture(session: Session, index: int, view: View) -> bool:
+    """Whether a camera has an image of a frame, without decoding it: its file exists, or its video is long enough.
+
+    An image that is damaged, or almost constant, is not noticed. `read_greys` returns None for it.
+
+    Raises:
+        InputError: no such frame, or not a video.
+    """
+    check_index(session, index)
+    path = session.video_path(view)
+    return _image_path(session, index, view).is_file() if path is None else has_video_frame(path, session.number(view, index))
 
 
 def check_index(session: Session, index: int) -> None:

@@ -12,6 +12,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -72,8 +73,7 @@ def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = 
         NotSeenError: the frame is damaged, or the video ends, or cannot be decoded, before it.
         InputError: missing, not a video, a negative number, or another size.
     """
-    if number < 0:
-        raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")
+    _check_number(path, number)
     with _reading(path) as reader:
         if reader.is_damaged(number):
             raise not_seen(path, f"frame {number} is damaged", "a frame that can be decoded without errors", "copy the file again")
@@ -93,6 +93,30 @@ def readable_frames(path: Path, frames: int) -> int:
     """
     with _reading(path) as reader:
         return frames if reader.leads_to(frames - 1) else min(frames, reader.count())
+
+
+def has_video_frame(path: Path, number: int) -> bool:
+    """Whether a video is long enough to have frame `number`, counted from 0. No frame is decoded for this, so a damaged one is not noticed.
+
+    The length is the one in the container's header if a seek leads to the last frame; otherwise the video is decoded to its end, once.
+
+    Raises:
+        InputError: missing, not a video, or a negative number.
+    """
+    _check_number(path, number)
+    return number < _length(path, _state(path))
+
+
+@lru_cache(OPEN_AT_ONCE)
+def _length(path: Path, state: tuple[int, int]) -> int:
+    """The number of frames of a video that nothing was decoded of: the answer may not depend on what was read before. `state` is for the cache."""
+    del state
+    reader = _Reader(path)
+    try:
+        stated = reader.stated_frames
+        return stated if stated and reader.leads_to(stated - 1) else reader.count()
+    finally:
+        reader.close()
 
 
 def damaged_frames(path: Path, numbers: Sequence[int]) -> list[int]:
@@ -163,6 +187,10 @@ class _Reader:
         )
         self._restart()
         return arrives
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
 
     def _explore(self) -> None:
         """Decode the next frame that was never decoded, or notice the end."""
@@ -248,13 +276,8 @@ _readers_lock = threading.Lock()
 @contextmanager
 def _reading(path: Path) -> Iterator[_Reader]:
     """The open video of a path, for one thread at a time."""
-    try:
-        with open_regular(path, "a video", LARGEST_BYTES) as file:
-            state = os.fstat(file.fileno())
-    except NoSuchFileError:
-        raise input_error(path, "no such file", "a video", "restore it, or correct the camera's video in session.toml") from None
     # A forked child shares its parent's file position, and a file may be rewritten under the same name.
-    key = (os.getpid(), str(path), state.st_mtime_ns, state.st_size)
+    key = (os.getpid(), str(path), *_state(path))
     with _readers_lock:
         reader = _readers.pop(key, None) or _Reader(path)
         _readers[key] = reader
@@ -262,3 +285,18 @@ def _reading(path: Path) -> Iterator[_Reader]:
             _readers.popitem(last=False)
     with reader.lock:
         yield reader
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """The time of a video's last change, ns, and its size in bytes."""
+    try:
+        with open_regular(path, "a video", LARGEST_BYTES) as file:
+            state = os.fstat(file.fileno())
+    except NoSuchFileError:
+        raise input_error(path, "no such file", "a video", "restore it, or correct the camera's video in session.toml") from None
+    return state.st_mtime_ns, state.st_size
+
+
+def _check_number(path: Path, number: int) -> None:
+    if number < 0:
+        raise input_error(path, f"frame {number}", "0 or later", "correct first_frame and the camera's offset in session.toml")

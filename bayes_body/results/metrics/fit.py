@@ -24,11 +24,11 @@ from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.shapes import Configuration
 from bayes_body.model.body.solids import Body, facing_discs, part_transforms, widened
 from bayes_body.model.build import Model
-from bayes_body.recording.observation.frames import Frame, read_frame
+from bayes_body.recording.observation.frames import Frame, cameras_with_picture, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
 from bayes_body.results.posterior import markers, mean_pose
-from bayes_body.tracking.draws import Draws
+from bayes_body.tracking.draws import Draws, FrameResult
 
 POINTS = 24
 
@@ -134,13 +134,39 @@ class Fit(NamedTuple):
 def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched) -> Float[np.ndarray, "run frame camera"]:
     """Return the overlap (IoU) of the projected mean body of each run with the silhouettes; NaN where the session has none."""
     frames = watch(range(len(draws.frames)))
-    return np.stack([frame_fit(session, draws.model, mean_pose(draws.frames[index], draws.model), index).overlap for index in frames], axis=1)
+    return np.stack([result_fit(session, draws.model, draws.frames[index], index).overlap for index in frames], axis=1)
 
 
-def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run *shape"], index: int) -> Fit:
-    """Return the fit of poses (radians and metres) to frame `index`."""
-    frame, model = read_frame(session, index), seen_in(model, session, index)
+def result_fit(session: Session, model: Model, result: FrameResult, index: int, to_judge: bool = False) -> Fit:
+    """Return the fit of each run's mean pose to the frame that was tracked; `to_judge` as in `frame_fit`."""
+    return frame_fit(session, model, mean_pose(result, model), index, np.asarray(result.seen).tolist(), to_judge)
+
+
+def frame_fit(
+    session: Session,
+    model: Model,
+    poses: Float[np.ndarray, "run *shape"],
+    index: int,
+    seen: Sequence[bool] | None = None,
+    to_judge: bool = False,
+) -> Fit:
+    """Return the fit of poses (radians and metres) to frame `index`.
+
+    Args:
+        session: the recording.
+        model: its body and cameras.
+        poses: one for each run.
+        index: the frame.
+        seen: which cameras see the frame, if that is known. Pictures that nothing asks for are not read then.
+        to_judge: whether the fit is only for `plausibility.judge`, which needs no silhouettes where keypoints tell: they are NaN then.
+    """
+    if seen is None and not model.reads_pictures:
+        seen = cameras_with_picture(session, index)
+    frame, model = read_frame(session, index, seen=seen), seen_in(model, session, index)
     shape = (len(poses), len(session.views))
+    distance, distance_px = _distances(model, poses, frame)
+    if to_judge and np.isfinite(distance).any():
+        frame = frame._replace(masks=None, foreground=None)
     overlap, cover, area = (np.full(shape, np.nan) for _ in range(3))
     masks = [None] * shape[1] if frame.masks is None else [frame.masks[c] for c in range(shape[1])]
     for run, pose in enumerate(poses):
@@ -148,18 +174,20 @@ def frame_fit(session: Session, model: Model, poses: Float[np.ndarray, "run *sha
             area[run, c] = body.mean()
             if person is not None:
                 overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
-    distance, distance_px = _distances(model, poses, frame)
     return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
 
 
 def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
     """Return the share of the image that each camera's silhouette covers; NaN for a camera that did not see the frame, and without silhouettes."""
     shares = np.full(len(frame.images), np.nan)
-    for c, image in enumerate(frame.images):
-        if image is not None and frame.masks is not None:
+    for c, has_image in enumerate(frame.seen):
+        if has_image and frame.masks is not None:
             mask = frame.masks[c]
-            # The image could not be compared with the background.
-            shares[c] = 0.0 if mask is None else mask.mean()
+            if mask is not None:
+                shares[c] = mask.mean()
+            elif frame.images[c] is not None:
+                # The image could not be compared with the background.
+                shares[c] = 0.0
     return shares
 
 

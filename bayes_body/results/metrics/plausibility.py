@@ -74,6 +74,8 @@ def check_silhouettes(session: Session, model: Model) -> None:
     Raises:
         InputError: every camera's silhouette is empty or covers most of the image, or a file of frame 0 cannot be used.
     """
+    if not model.reads_pictures:
+        return
     frame = read_frame(session, 0)
     if frame.masks is None:
         return
@@ -118,7 +120,7 @@ def first_fit(session: Session, model: Model) -> dict[str, Any]:
 
 
 def _first(session: Session, model: Model) -> Fit:
-    return frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0)
+    return frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0, to_judge=True)
 
 
 def _first_figures(first: Verdict, by_keypoints: bool) -> dict[str, Any]:

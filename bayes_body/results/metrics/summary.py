@@ -19,7 +19,7 @@ from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.figures import accuracy_figures
-from bayes_body.results.metrics.fit import Fit, frame_fit
+from bayes_body.results.metrics.fit import Fit, frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.truth import draws_against_truth
 from bayes_body.results.posterior import frame_rhat, markers, mean_pose
@@ -57,7 +57,7 @@ class _Figures(NamedTuple):
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
-    info, fit = frame.info, frame_fit(session, model, mean_pose(frame, model), index)
+    info, fit = frame.info, result_fit(session, model, frame, index)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.

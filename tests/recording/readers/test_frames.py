@@ -6,13 +6,18 @@ import threading
 import time
 
 import cv2
+import jax
 import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.observation.frames import Frame, prefetch, read_frame
+from bayes_body.model.build import build_model
+from bayes_body.recording.observation import frames
+from bayes_body.recording.observation.frames import Frame, cameras_with_picture, prefetch, read_frame
 from bayes_body.recording.observation.pictures import read_colour
 from bayes_body.recording.readers.parsec import import_parsec
+from bayes_body.results.metrics.fit import frame_fit
+from bayes_body.tracking.observations import observations
 
 
 def test_real_frames(bodytrack, tmp_path):
@@ -135,6 +140,33 @@ def filmed(textured_session, tmp_path):
 def test_a_video_is_seen_up_to_its_end(filmed):
     assert [read_frame(filmed, index).seen[0] for index in range(12)] == [index not in (3, 9, 10, 11) for index in range(12)]
     assert abs(int(read_colour(filmed, 5, filmed.views[0])[60, 50, 1]) - 120) < 8
+
+
+def test_without_decoding_a_black_frame_counts_as_a_picture(filmed):
+    assert [cameras_with_picture(filmed, index) for index in range(12)] == [(index < 9,) for index in range(12)]
+    with pytest.raises(InputError, match="frame 12; expected 0 to 11"):
+        cameras_with_picture(filmed, 12)
+
+
+def test_a_model_of_keypoints_reads_no_picture(keypoint_session, monkeypatch):
+    model = build_model("keypoints", keypoint_session)
+    expected = [read_frame(keypoint_session, index) for index in range(keypoint_session.frames)]
+    data, pose = [model.observe(frame) for frame in expected], np.asarray(model.initial[model.body.variable], float)[None]
+    fit = frame_fit(keypoint_session, model, pose, 0)
+
+    def refuse(*_):
+        raise AssertionError("a picture is read")
+
+    for name in ("read_greys", "read_colour", "read_mask"):
+        monkeypatch.setattr(frames, name, refuse)
+    for observed, frame, arrays in zip(observations(keypoint_session, model, range(len(expected))), expected, data, strict=True):
+        assert observed.seen.tolist() == list(frame.seen)
+        jax.tree.map(np.testing.assert_array_equal, observed.data, arrays)
+    judged = frame_fit(keypoint_session, model, pose, 0, to_judge=True)
+    np.testing.assert_array_equal(judged.distance, fit.distance)
+    assert np.isnan(judged.overlap).all() and not np.isnan(fit.overlap).any()
+    with pytest.raises(AssertionError, match="a picture is read"):
+        next(observations(keypoint_session, build_model("silhouettes", keypoint_session), range(1)))
 
 
 def test_order():
