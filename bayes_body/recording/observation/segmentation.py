@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
-from bayes_body.recording.observation.background import Background, shrink
+from bayes_body.recording.observation.background import Background
 from bayes_body.recording.observation.exposure import colour_bins, colour_histogram, fit_exposure
 from bayes_body.recording.observation.pictures import Colours
 from bayes_body.recording.session.session import Segmentation
@@ -53,15 +53,16 @@ BRIDGED = 21
 
 
 def foreground_levels(background: Background, image: Colours, options: Segmentation) -> UInt8[np.ndarray, "row column"] | None:
-    """The foreground's probability times 255, in the image's size; None if the image's exposure cannot be matched to the background's."""
-    small = shrink(image)[..., : background.mean.shape[-1]]
+    """The foreground's probability times 255 in an image of the background's size (`background.shrink`).
+
+    None if the image's exposure cannot be matched to the background's.
+    """
+    small = image[..., : background.mean.shape[-1]]
     independent = independent_log_odds(background, small, options)
     if independent is None:
         return None
     log_odds = _among_neighbours(independent + _by_the_persons_colours(small, independent))
-    levels = _clean(np.asarray(cv2.medianBlur(_levels(log_odds), 3), np.uint8), background.doubtful)
-    height, width = image.shape[:2]
-    return np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+    return _clean(np.asarray(cv2.medianBlur(_levels(log_odds), 3), np.uint8), background.doubtful)
 
 
 def independent_log_odds(background: Background, small: UInt8[np.ndarray, "row column channel"], options: Segmentation) -> LogOdds | None:

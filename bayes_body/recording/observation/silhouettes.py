@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Hashable, Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -43,9 +44,11 @@ def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.
         InputError: the background cannot be learned, or its file cannot be used.
     """
     background = background_of(session, view)
+    small = shrink(image)
     # The key is the content: the same picture has the same silhouette, whatever its number and file date.
-    key = _key(session, view), hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
-    return _made.get(str(session.folder), key, lambda: foreground_levels(background, image, session.segmentation))
+    key = _key(session, view), hashlib.blake2b(np.ascontiguousarray(small), digest_size=16).digest()
+    levels = _made.get(str(session.folder), key, lambda: foreground_levels(background, small, session.segmentation))
+    return None if levels is None else np.asarray(cv2.resize(levels, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def background_of(session: Session, view: View) -> Background:
