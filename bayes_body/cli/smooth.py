@@ -20,6 +20,7 @@ def smooth(
     ),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(False, "--resume", help="Continue the smoothed run in --out."),
+    no_pictures: bool = typer.Option(False, "--no-pictures", help="Leave out overlay.mp4 and the stills; --resume without this option draws them."),
     plugin: Plugins = None,
 ) -> None:
     """Smooth a run: a filter's frame knows only the images up to it, a smoothed one knows all. Writes what `track` writes.
@@ -43,5 +44,5 @@ def smooth(
     folder = out or free_folder(run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else whole.with_name(f"{whole.name}_smoothed"))
     options = {name: value for name, value in (("draws", draws), ("moves", moves), ("start", start)) if value is not None}
     with own_terms(plugin):
-        smooth_run(SmoothSettings(run, folder, options, seed, resume), show=lambda line: say(line), bar=True)
-    say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+        smooth_run(SmoothSettings(run, folder, options, seed, resume, not no_pictures), show=lambda line: say(line), bar=True)
+    say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures else 'overlay.mp4, overlay/, '}frames/, run.toml")

@@ -61,6 +61,7 @@ def track(
     keep: str | None = typer.Option(
         None, "--keep", metavar="draws=N", help="Store N draws of a frame and run instead of all particles; diagnostics are computed from all."
     ),
+    no_pictures: bool = typer.Option(False, "--no-pictures", help="Leave out overlay.mp4 and the stills; --resume without this option draws them."),
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
@@ -86,7 +87,9 @@ def track(
     folder = out or _free_run(session, resume)
     if out is None:
         say(f"run        {folder}")
-    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws_of(keep))
+    asked = Settings(
+        session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws_of(keep), not no_pictures
+    )
     with own_terms(plugin):
         if resume and (folder / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
@@ -94,7 +97,7 @@ def track(
         if model is not None:
             checked_definition(model)
         run(asked, show=lambda line: say(line), bar=True)
-    say(f"{folder}: posterior.nc, summary.json, overlay.mp4, overlay/, frames/, run.toml")
+    say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures else 'overlay.mp4, overlay/, '}frames/, run.toml")
 
 
 def draws_of(keep: str | None) -> int | None:

@@ -79,6 +79,7 @@ def finish(
     show: Show,
     bar: bool,
     smoothed: bool = False,
+    pictures: bool = True,
 ) -> dict[str, Any]:
     """Write posterior, summary and pictures, unless they exist for these frames, and show figures and warnings. Return the content of the summary.
 
@@ -93,6 +94,7 @@ def finish(
         show: receives lines for the user.
         bar: whether to show the progress on standard error.
         smoothed: whether a draw is a path through all frames.
+        pictures: whether to draw the video and the stills. A later call may draw them.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -111,7 +113,8 @@ def finish(
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)
-    _draw(session, draws, results, show, bar)
+    if pictures:
+        _draw(session, draws, results, show, bar)
     _archive(results, smoothed, show, bar)
     show(figures_text(summary))
     for sentence in summary["warnings"]:

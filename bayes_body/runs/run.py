@@ -123,7 +123,8 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
             recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
             draws = track(key, session, model, kernel, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
         results = Results(settings.out, frames)
-        return finish(session, draws, results, {"kernel": kind, "seed": chosen.seed}, pairs, show, bar)
+        figures = {"kernel": kind, "seed": chosen.seed}
+        return finish(session, draws, results, figures, pairs, show, bar, pictures=settings.pictures)
 
 
 def _chosen_model(session: Session, show: Show) -> str:

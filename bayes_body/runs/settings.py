@@ -45,6 +45,7 @@ class Settings:
         recover: whether a run that lost the person starts anew where detectors find it; None means: for the kernel `particle_bp`.
         resume: whether to continue the run in the folder.
         keep: number of draws of a frame and run that are stored; None for all particles.
+        pictures: whether to draw the video and the stills.
     """
 
     session: Path
@@ -60,6 +61,7 @@ class Settings:
     recover: bool | None = None
     resume: bool = False
     keep: int | None = None
+    pictures: bool = True
 
 
 class Chosen(NamedTuple):

@@ -40,6 +40,7 @@ class SmoothSettings:
         options: options of the smoother by name; those of the continued run, or the defaults, where they are not given.
         seed: seed of everything random; None for that of the continued run, or 0.
         resume: whether to continue the run in `out`.
+        pictures: whether to draw the video and the stills.
     """
 
     source: Path
@@ -47,6 +48,7 @@ class SmoothSettings:
     options: Mapping[str, int | str]
     seed: int | None = None
     resume: bool = False
+    pictures: bool = True
 
 
 def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
@@ -96,7 +98,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
             paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
         draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame, declared_sample=True)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
-        return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True)
+        return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True, pictures=settings.pictures)
 
 
 def _check_source(run: SavedRun) -> None:

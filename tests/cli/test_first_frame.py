@@ -40,11 +40,15 @@ def whole_run(tmp_path_factory, session):
 
 def test_it_begins_there(track, tmp_path):
     run = tmp_path / "run"
-    outcome = track(run, "--first-frame", FIRST, "--frames", 2)
+    outcome = track(run, "--first-frame", FIRST, "--frames", 2, "--no-pictures")
     assert outcome.status == 0, outcome.err
+    assert not list(run.glob("overlay*")) and "overlay.mp4" not in outcome.out
     assert tomllib.loads((run / "run.toml").read_text(encoding="utf-8"))["run"]["first_frame"] == FIRST
     assert json.loads((run / "summary.json").read_text(encoding="utf-8"))["first_frame"] == FIRST
+    posterior = (run / "posterior.nc").read_bytes()
+    assert track(run, "--resume").status == 0
     assert [path.name for path in sorted((run / "overlay").iterdir())] == ["frame_000002.png", "frame_000003.png"]
+    assert (run / "overlay.mp4").is_file() and (run / "posterior.nc").read_bytes() == posterior
 
 
 @pytest.mark.slow
@@ -95,8 +99,9 @@ def test_what_reads_it_names_its_frames(cli, whole_run, tmp_path):
 
 @pytest.mark.slow
 def test_a_smoothed_run_keeps_the_numbers(cli, whole_run):
-    outcome = cli("smooth", whole_run, "--out", whole_run.parent / "smoothed", "--draws", 20, "--moves", 0)
+    outcome = cli("smooth", whole_run, "--out", whole_run.parent / "smoothed", "--draws", 20, "--moves", 0, "--no-pictures")
     assert outcome.status == 0, outcome.err
+    assert not list((whole_run.parent / "smoothed").glob("overlay*"))
     with xr.open_datatree(whole_run.parent / "smoothed" / "posterior.nc") as tree:
         assert tree["posterior"]["frame"].values.tolist() == [2, 3, 4]
 
