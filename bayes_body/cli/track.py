@@ -2,7 +2,7 @@
 
 from argparse import ArgumentTypeError
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -10,6 +10,10 @@ from bayes_body.base.errors import InputError, input_error
 from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
+
+if TYPE_CHECKING:
+    from bayes_body.model.definition import Definition
+    from bayes_body.recording.session.session import Session
 
 # The largest seed of a JAX key without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
@@ -69,16 +73,17 @@ def track(
 
     configure()
     from bayes_body.cli.models import checked_definition
+    from bayes_body.model.definition import load_definition
     from bayes_body.results.storage.names import RUN_FILE
     from bayes_body.results.storage.run_file import read_run_file
     from bayes_body.runs.run import run
     from bayes_body.runs.settings import AUTO, GIVEN, Settings
 
-    most = _frames_of(session, first_frame, frames)
+    recording = _recording(session, first_frame)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
         check_range(f"--{name.replace('_', '-')}", value, 1)
-    check_range("--frames", frames, 1, most)
+    check_range("--frames", frames, 1, recording.frames)
     check_range("--seed", seed, 0, LARGEST_SEED)
     if init not in (None, GIVEN, AUTO):
         raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
@@ -91,11 +96,13 @@ def track(
         session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws_of(keep), not no_pictures
     )
     with own_terms(plugin):
+        definition = None
         if resume and (folder / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
-            read_run_file(folder)
+            definition = load_definition(read_run_file(folder)["run"]["model"])
         if model is not None:
-            checked_definition(model)
+            definition = checked_definition(model)
+        _check_files(recording, frames, definition)
         run(asked, show=lambda line: say(line), bar=True)
     say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures else 'overlay.mp4, overlay/, '}frames/, run.toml")
 
@@ -144,23 +151,31 @@ def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any
     return options
 
 
-def _frames_of(folder: Path, first_frame: int | None, wanted: int | None) -> int:
-    """Return the number of frames from the first to track on, after a check that their files exist, so that the run does not fail half way."""
-    from bayes_body.base.progress import waiting
-    from bayes_body.recording.readers.check import check_session
+def _recording(folder: Path, first_frame: int | None) -> "Session":
+    """Return the session from the first frame to track on."""
     from bayes_body.recording.readers.excerpt import excerpt
     from bayes_body.recording.session.read import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         problem = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise input_error(folder, problem, "the folder of a session", "check the path, or make a session with `bayes-body import`")
-    session = excerpt(load_session(folder), first_frame)
-    # All videos are decoded once, to find damage.
+    return excerpt(load_session(folder), first_frame)
+
+
+def _check_files(session: "Session", frames: int | None, definition: "Definition | None") -> None:
+    """Check that the files of a session exist, so that the run does not fail half way. Without a definition, the data choose the model.
+
+    Videos are decoded once, to find damage, unless the model reads only keypoints.
+    """
+    from bayes_body.base.progress import waiting
+    from bayes_body.model.definition import evidence_of
+    from bayes_body.recording.readers.check import check_session
+
+    by_keypoints = any(view.keypoints for view in session.views) if definition is None else evidence_of(definition) == ["keypoints"]
     with waiting("looking at the recording's files"):
-        remarks = check_session(session, wanted)
+        remarks = check_session(session, frames, decode=not by_keypoints)
     for remark in remarks:
         say(f"note: {remark}")
-    return session.frames
 
 
 def check_range(option: str, value: int | None, least: int, most: int | None = None) -> None:

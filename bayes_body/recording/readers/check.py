@@ -26,12 +26,13 @@ SHORTEST_M = 0.4
 LEAST_APART_M = 0.01
 
 
-def check_session(session: Session, frames: int | None = None) -> list[str]:
+def check_session(session: Session, frames: int | None = None, decode: bool = True) -> list[str]:
     """Look for every file of every frame, read the first and the last image of every camera, and check every video's rate and frames.
 
     Args:
         session: the recording.
         frames: how many of its first frames will be used, all by default. Videos are decoded that far, to find damage.
+        decode: whether they are. Without it, damage is not noticed, and a video's length is checked only by a look at its last frame.
 
     Returns:
         Remarks for the user, one sentence each: which frames some cameras did not see.
@@ -48,7 +49,8 @@ def check_session(session: Session, frames: int | None = None) -> list[str]:
         owner = f"camera '{view.camera.name}'"
         with faults.collect():
             if view.video is not None:
-                remarks += _check_video(session, view, owner, min(frames or session.frames, session.frames))
+                used = min(frames or session.frames, session.frames) if decode else 0
+                remarks += _check_video(session, view, owner, used)
         for kind, read in (("images", read_grey), ("masks", read_mask)):
             if (pattern := getattr(view, kind)) is not None:
                 # Strings: a session of a million frames would need minutes to make so many `Path`.

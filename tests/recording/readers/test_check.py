@@ -98,6 +98,7 @@ def filmed(textured_session, tmp_path):
 def test_a_video_that_ends_early_is_a_remark(filmed):
     assert check_session(filmed(12)) == check_session(filmed(10, offset=2)) == []
     (remark,) = check_session(filmed(12, offset=2))
+    assert check_session(filmed(12, offset=2), decode=False) == [remark]
     assert "camera 'a': 2 of 12 frames are missing (frames 10-11), " in remark
     assert (
         "a.avi ends before them: the camera counts as not seeing the person there; copy the video again, or correct first_frame and frames" in remark
@@ -131,6 +132,8 @@ def test_damaged_frames_are_a_remark(filmed, tmp_path):
     assert remark.endswith("a.avi is damaged: the camera counts as not seeing the person there; copy the video again.")
     # Of frames that are not used nothing is said.
     assert check_session(filmed(12), number) == []
+    # Nor if no pictures are read.
+    assert check_session(filmed(12), decode=False) == []
 
 
 def test_a_video_that_cannot_be_used_is_an_error(filmed, tmp_path):
