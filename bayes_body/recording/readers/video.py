@@ -144,7 +144,9 @@ class _Reader:
         self._spoiled = False
         # The number of the frame that the stream decodes next.
         self._next = 0
-        # The frame before `_next`: images and silhouettes both read it.
+        # The frame before `_next`: a look for damage decodes a frame before it is read.
+        self._decoded: tuple[int, Outcome] | None = None
+        # The picture that was read last: images and silhouettes both read it.
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
     @property
@@ -167,7 +169,7 @@ class _Reader:
     def read(self, number: int) -> NDArray[np.uint8] | None:
         """A frame, or None if it cannot be decoded."""
         if self._last is None or self._last[0] != number:
-            outcome = self._reach(number)
+            outcome = self._decoded[1] if self._decoded is not None and self._decoded[0] == number else self._reach(number)
             if outcome is None or outcome.frame is None:
                 return None
             self._last = number, picture_of(outcome.frame)
@@ -213,6 +215,7 @@ class _Reader:
                 self._spoiled = not outcome.sound or (self._spoiled and not outcome.key)
                 self._times.append(outcome.time)
                 self._damaged.append(self._spoiled)
+        self._decoded = None if outcome is None else (self._next, outcome)
         self._next += outcome is not None
         return outcome
 
@@ -252,7 +255,7 @@ class _Reader:
                     if outcome.time is None or outcome.time > time:
                         break
                     if outcome.time == time:
-                        self._next = number + 1
+                        self._next, self._decoded = number + 1, None
                         return outcome
             self._restart()
         elif number < self._next:
@@ -266,7 +269,7 @@ class _Reader:
 
     def _restart(self) -> None:
         self._stream.close()
-        self._stream, self._next = VideoStream(self._path, self._options), 0
+        self._stream, self._next, self._decoded = VideoStream(self._path, self._options), 0, None
 
 
 _readers: OrderedDict[tuple[int, str, int, int], _Reader] = OrderedDict()
