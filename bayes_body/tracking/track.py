@@ -132,7 +132,9 @@ def track(
     if done < count:
         with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
-            _follow(store, _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame), count, on_frame)
+            computed: list[FrameResult] = []
+            results = _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame, computed)
+            _follow(store, _to_the_last(results, computed), count, on_frame)
     cameras = tuple(view.camera.name for view in session.views)
     name = getattr(kernel, "kind", "")
     declared = find("kernel", name).samples_posterior if name in names("kernel") else None
@@ -179,10 +181,12 @@ def _filter(
     ahead: Ahead | None,
     restarts: Restarts | None,
     number: int,
+    computed: list[FrameResult],
 ) -> Iterator[FrameResult]:
-    """Yield the results of all runs for each frame from `first` on. Only the particles of the last frame stay in memory.
+    """Yield the results of all runs for each frame from `first` on. Only the particles of the last two frames stay in memory.
 
-    `number` is the number of frame 0 in the recording.
+    A result waits in `computed` until the device works on the next frame. The last one stays there. `number` is the number of frame 0 in the
+    recording.
     """
     last = time.perf_counter()
     run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
@@ -203,6 +207,9 @@ def _filter(
         run_inputs = zip(run_keys, filters, is_found, strict=True)
         outcomes = [step(run_key, index, before, after_found if begins else density) for run_key, before, begins in run_inputs]
         filters = [after for after, _ in outcomes]
+        # The host stores a frame while the device works on the next one.
+        if computed:
+            yield computed.pop()
         runs = jax.device_get(outcomes)
         for particles, info in runs:
             raise_if_all_rejected(info, number + frame)
@@ -211,7 +218,19 @@ def _filter(
         result = _result(runs, visibility, seconds, ready, restarted)
         if restarts is not None:
             restarts.watch(result, frame)
-        yield result
+        computed.append(result)
+
+
+def _to_the_last(results: Iterator[FrameResult], computed: list[FrameResult]) -> Iterator[FrameResult]:
+    """Yield the results, and the one that waits at the end. It is not lost if the next frame cannot be read or the run is stopped."""
+    try:
+        yield from results
+    except GeneratorExit:
+        raise
+    except BaseException:
+        yield from computed
+        raise
+    yield from computed
 
 
 def _result(outcomes: list[tuple[Particles, FilterInfo]], visibility: np.ndarray, seconds: float, ready: float, restarted: np.ndarray) -> FrameResult:
