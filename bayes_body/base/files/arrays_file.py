@@ -1,10 +1,12 @@
 """Read arrays of an .npz archive safely: no pickled objects, no trust in headers, limits on the unpacked size and on the number of arrays."""
 
 import io
+import math
 import re
 import struct
 import zipfile
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +20,8 @@ from bayes_body.base.files.read import open_regular
 LARGEST_BYTES = 500_000_000
 # The directory of an archive has some 60 bytes for each array, and every entry of it becomes an object of Python.
 LARGEST_DIRECTORY = 1_000_000
+# Bytes of an array's header, and the number of headers that stay parsed: files of one kind share them.
+LONGEST_HEADER, HEADERS_IN_MEMORY = 20_000, 256
 
 
 def read_arrays(path: Path, keys: Sequence[str] | None, kind: str, remedy: str) -> dict[str, NDArray[np.generic]]:
@@ -72,12 +76,24 @@ def _content(archive: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _parsed(where: str, content: bytes, kind: str, remedy: str) -> NDArray[np.generic]:
-    file = io.BytesIO(content)
+    # The length of the rest of the header follows eight bytes of magic string and version; it has two bytes in version 1, and four in later ones.
+    begin = 10 if content[6:7] == b"\x01" else 12
+    start = begin + int.from_bytes(content[8:begin], "little")
+    if start > LONGEST_HEADER:
+        raise ValueError("header")
+    shape, fortran, dtype = _described(content[:start])
+    count = math.prod(shape)
+    values = len(content) - start
+    if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != values:
+        raise input_error(where, f"{values} bytes of {dtype} for shape {shape}", kind, remedy)
+    return np.frombuffer(content, dtype, count, start).reshape(shape, order="F" if fortran else "C")
+
+
+@lru_cache(HEADERS_IN_MEMORY)
+def _described(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[np.generic]]:
+    """The shape, whether the order is Fortran's, and the type. To parse a header takes longer than to read a small array."""
+    file = io.BytesIO(header)
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = read(file)
-    count = int(np.prod([int(side) for side in shape], dtype=object))
-    values = len(content) - file.tell()
-    if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != values:
-        raise input_error(where, f"{values} bytes of {dtype} for shape {shape}", kind, remedy)
-    return np.frombuffer(content, dtype, count, file.tell()).reshape(shape, order="F" if fortran else "C")
+    return tuple(int(side) for side in shape), fortran, dtype
