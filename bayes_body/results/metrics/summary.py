@@ -51,6 +51,7 @@ class _Figures(NamedTuple):
     log_evidence: NDArray[Any]
     evaluations: int
     lost: bool
+    restarted: bool
     rhat: float
     fit: Fit
     disagreement: float
@@ -62,7 +63,9 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> 
     worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
-    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, worst, fit, _disagreement(model, frame))
+    return _Figures(
+        np.asarray(info.ess), layers, evidence, evaluations, frame.lost, bool(frame.restarted.any()), worst, fit, _disagreement(model, frame)
+    )
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
@@ -81,7 +84,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "frames": frames,
         "first_frame": draws.first_frame,
         "frames_lost": sum(frame_figures.lost for frame_figures in by_frame),
-        "frames_restarted": [draws.first_frame + frame for frame in draws.frames_restarted],
+        "frames_restarted": [draws.first_frame + frame for frame, frame_figures in enumerate(by_frame) if frame_figures.restarted],
         "cameras": len(session.views),
         "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,

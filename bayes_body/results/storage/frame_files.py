@@ -63,6 +63,8 @@ class FrameFiles:
         # The digest of the last frame, once it is known.
         self._last: str | None = None
         self._read = lru_cache(KEPT_IN_MEMORY)(self._load)
+        # What the archive needs of the frames that were stored or read by this object.
+        self._entries: dict[int, Entry] = {}
 
     def path(self, index: int) -> Path:
         """Return the file of a frame."""
@@ -124,6 +126,7 @@ class FrameFiles:
             stored = self.thinning(result, number)
             save_frame(self._whole_path(number), result, place)
         self._last = save_frame(self.path(number), stored, place)
+        self._entries[number] = _entry_of(stored, self._last)
         if number:
             self._whole_path(number - 1).unlink(missing_ok=True)
         self._read.cache_clear()
@@ -173,13 +176,10 @@ class FrameFiles:
         files = [index for index in range(self._count) if self.path(index).exists()]
         if not files:
             return True
-        entries, names, run = [], [], ""
-        for index in range(self._count):
-            stored = self._stored(index)
-            result, run = stored.result, stored.place.run
-            names = names or in_posterior(arrays_of(result, stored.place))
-            entries.append(Entry(stored.digest, result.seconds, result.seconds_ready, np.asarray(result.restarted, bool)))
-        archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, run, names, entries, last_first, trusted=True)
+        first = self._stored(0)
+        names = in_posterior(arrays_of(first.result, first.place))
+        entries = [self._entries.get(index) or self._entry(index) for index in range(self._count)]
+        archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, first.place.run, names, entries, last_first, trusted=True)
         try:
             for index in watch(range(self._count)):
                 archive.load(index)
@@ -206,6 +206,7 @@ class FrameFiles:
     def _end_before(self, index: int, damage: str) -> str:
         can_go_on = self.thinning is None or self._whole_path(index - 1).exists()
         self._count, self._last = index if can_go_on else 0, None
+        self._entries.clear()
         self._read.cache_clear()
         return damage
 
@@ -222,12 +223,20 @@ class FrameFiles:
             raise input_error(self.path(index), f"was stored as frame {stored.place.number}", f"frame {index}", REMEDY)
         return stored
 
+    def _entry(self, index: int) -> Entry:
+        stored = self._stored(index)
+        return _entry_of(stored.result, stored.digest)
+
     def _check_run(self, index: int, place: Place) -> None:
         if self.run and place.run != self.run:
             remedy = "move the file away, or start a new run in another folder with --out"
             raise input_error(
                 self.path(index), f"belongs to another run ('{escaped(place.run[:SHOWN])}')", f"a frame of this run ('{self.run}')", remedy
             )
+
+
+def _entry_of(result: FrameResult, digest: str) -> Entry:
+    return Entry(digest, result.seconds, result.seconds_ready, np.asarray(result.restarted, bool))
 
 
 def _archive_of(folder: Path) -> tuple[FrameArchive | None, str]:
