@@ -80,6 +80,10 @@ class Timing:
     total: float
     compile: float
 
+    def after(self, frame: FrameResult) -> "Timing":
+        """Return the time with that of one more frame."""
+        return Timing(self.total + frame.seconds + frame.seconds_ready, self.compile + frame.seconds_ready)
+
 
 @dataclass(frozen=True, eq=False)
 class Draws:
@@ -163,7 +167,7 @@ class Draws:
 
 def timing_of(frames: Frames) -> Timing:
     """Return the sum of the frames' seconds."""
-    total = ready = 0.0
+    timing = Timing(0.0, 0.0)
     for frame in frames:
-        total, ready = total + frame.seconds + frame.seconds_ready, ready + frame.seconds_ready
-    return Timing(total, ready)
+        timing = timing.after(frame)
+    return timing

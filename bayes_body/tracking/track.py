@@ -27,7 +27,7 @@ from bayes_body.model.build import Model
 from bayes_body.model.plugins.load import check_own_factors
 from bayes_body.model.plugins.terms import check_result
 from bayes_body.recording.session.session import Session
-from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, timing_of
+from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, Timing, timing_of
 from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, program_from
 from bayes_body.tracking.restarts import Recovery, Restarts
@@ -129,16 +129,17 @@ def track(
     store: FrameStore = [] if into is None else into
     done = len(store)
     filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
+    timing = timing_of(store)
     if done < count:
         with closing(observations(session, model, range(done, count))) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
             computed: list[FrameResult] = []
             results = _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame, computed)
-            _follow(store, _to_the_last(results, computed), count, on_frame)
+            timing = _follow(store, _to_the_last(results, computed), count, on_frame, timing)
     cameras = tuple(view.camera.name for view in session.views)
     name = getattr(kernel, "kind", "")
     declared = find("kernel", name).samples_posterior if name in names("kernel") else None
-    return Draws(model, store, timing_of(store), cameras, session.first_frame, name, declared_sample=declared)
+    return Draws(model, store, timing, cameras, session.first_frame, name, declared_sample=declared)
 
 
 def _particles_of(kernel: Kernel) -> int:
@@ -161,14 +162,16 @@ def _filters_after(store: FrameStore, particles: int, runs: int, count: int) -> 
     return [Particles({name: values[run] for name, values in last.states.items()}, last.log_weights[run]) for run in range(runs)]
 
 
-def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None) -> None:
-    """Store each frame as soon as it is computed."""
+def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_frame: Callable[[Progress], None] | None, timing: Timing) -> Timing:
+    """Store each frame as soon as it is computed. Return the time of all frames, given that of those that were stored before."""
     first, seconds = len(store), 0.0
     for done, result in enumerate(results, first + 1):
         store.append(result)
         seconds += result.seconds
+        timing = timing.after(result)
         if on_frame:
             on_frame(_progress(result, done, count, seconds / (done - first)))
+    return timing
 
 
 def _filter(
