@@ -91,30 +91,29 @@ def readable_frames(path: Path, frames: int) -> int:
     Raises:
         InputError: missing, or not a video.
     """
+    if frames <= _sound_length(path, _state(path)):
+        return frames
     with _reading(path) as reader:
-        return frames if reader.leads_to(frames - 1) else min(frames, reader.count())
+        return min(frames, reader.count())
 
 
 def has_video_frame(path: Path, number: int) -> bool:
-    """Whether a video is long enough to have frame `number`, counted from 0. No frame is decoded for this, so a damaged one is not noticed.
-
-    The length is the one in the container's header if a seek leads to the last frame; otherwise the video is decoded to its end, once.
+    """Whether a video is long enough to have frame `number`, counted from 0. Such a frame is not decoded: whether it is damaged is not known.
 
     Raises:
         InputError: missing, not a video, or a negative number.
     """
     _check_number(path, number)
-    return number < _length(path, _state(path))
+    return readable_frames(path, number + 1) > number
 
 
 @lru_cache(OPEN_AT_ONCE)
-def _length(path: Path, state: tuple[int, int]) -> int:
-    """The number of frames of a video that nothing was decoded of: the answer may not depend on what was read before. `state` is for the cache."""
+def _sound_length(path: Path, state: tuple[int, int]) -> int:
+    """The number of frames in a container's header, if a seek leads to the last of them; else 0. `state` is there for the cache."""
     del state
     reader = _Reader(path)
     try:
-        stated = reader.stated_frames
-        return stated if stated and reader.leads_to(stated - 1) else reader.count()
+        return reader.stated_frames if reader.leads_to(reader.stated_frames - 1) else 0
     finally:
         reader.close()
 
@@ -177,9 +176,7 @@ class _Reader:
 
     def leads_to(self, number: int) -> bool:
         """Whether a seek to this frame succeeds, for a frame that the container's header counts."""
-        if number < len(self._times):
-            return True
-        if self._ended or number >= self.stated_frames:
+        if not 0 <= number < self.stated_frames:
             return False
         time = self._stream.time_of(number)
         # Half a frame early: the time is rounded.
