@@ -171,10 +171,15 @@ def frame_fit(
     masks = [None] * shape[1] if frame.masks is None else [frame.masks[c] for c in range(shape[1])]
     for run, pose in enumerate(poses):
         for c, (body, person) in enumerate(zip(projected_masks(model, pose, session), masks, strict=True)):
-            area[run, c] = body.mean()
+            area[run, c] = _share(body)
             if person is not None:
                 overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
     return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
+
+
+def _share(mask: Bool[np.ndarray, "row column"]) -> float:
+    # Many times as fast as the mean, and the same number.
+    return np.count_nonzero(mask) / mask.size
 
 
 def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
@@ -184,7 +189,7 @@ def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
         if has_image and frame.masks is not None:
             mask = frame.masks[c]
             if mask is not None:
-                shares[c] = mask.mean()
+                shares[c] = _share(mask)
             elif frame.images[c] is not None:
                 # The image could not be compared with the background.
                 shares[c] = 0.0
