@@ -80,7 +80,7 @@ class Timing:
     total: float
     compile: float
 
-    def after(self, frame: FrameResult) -> "Timing":
+    def plus(self, frame: FrameResult) -> "Timing":
         """Return the time with that of one more frame."""
         return Timing(self.total + frame.seconds + frame.seconds_ready, self.compile + frame.seconds_ready)
 
@@ -169,5 +169,5 @@ def timing_of(frames: Frames) -> Timing:
     """Return the sum of the frames' seconds."""
     timing = Timing(0.0, 0.0)
     for frame in frames:
-        timing = timing.after(frame)
+        timing = timing.plus(frame)
     return timing

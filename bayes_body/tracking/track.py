@@ -168,7 +168,7 @@ def _follow(store: FrameStore, results: Iterator[FrameResult], count: int, on_fr
     for done, result in enumerate(results, first + 1):
         store.append(result)
         seconds += result.seconds
-        timing = timing.after(result)
+        timing = timing.plus(result)
         if on_frame:
             on_frame(_progress(result, done, count, seconds / (done - first)))
     return timing

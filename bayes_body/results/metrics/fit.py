@@ -147,7 +147,7 @@ def frame_fit(
     model: Model,
     poses: Float[np.ndarray, "run *shape"],
     index: int,
-    seen: Sequence[bool] | None = None,
+    visibility: Sequence[bool] | None = None,
     to_judge: bool = False,
 ) -> Fit:
     """Return the fit of poses (radians and metres) to frame `index`.
@@ -157,12 +157,12 @@ def frame_fit(
         model: its body and cameras.
         poses: one for each run.
         index: the frame.
-        seen: which cameras see the frame, if that is known. Pictures that nothing asks for are not read then.
+        visibility: which cameras see the frame, if that is known. Pictures that nothing asks for are not read then.
         to_judge: whether the fit is only for `plausibility.judge`, which needs no silhouettes where keypoints tell: they are NaN then.
     """
-    if seen is None and not model.reads_pictures:
-        seen = cameras_with_picture(session, index)
-    frame, model = read_frame(session, index, seen=seen), seen_in(model, session, index)
+    if visibility is None and not model.reads_pictures:
+        visibility = cameras_with_picture(session, index)
+    frame, model = read_frame(session, index, seen=visibility), seen_in(model, session, index)
     shape = (len(poses), len(session.views))
     distance, distance_px = _distances(model, poses, frame)
     if to_judge and np.isfinite(distance).any():
