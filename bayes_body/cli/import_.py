@@ -183,15 +183,16 @@ def draw_first_frame(session: "Session", name: str, path: Path) -> Path:
     from bayes_body.base.config import configure
 
     configure()
+    from bayes_body.initial import apply_first_pose, first_pose, first_pose_source
     from bayes_body.model.build import build_model
     from bayes_body.view.rig_check import draw_check
 
     model = build_model(name, session)
-    if session.initial_markers or session.initial_keypoints:
-        from bayes_body.initial import apply_first_pose, first_pose
-
-        fitted_pose = first_pose(model, session)
-        for remark in fitted_pose.remarks:
+    # A search would take too long for a picture: where it is needed, the body is drawn at the origin.
+    source = first_pose_source(model, session)
+    if source == "fitted":
+        estimate = first_pose(model, session, source)
+        for remark in estimate.remarks:
             say(f"note: first pose: {remark}")
-        model = apply_first_pose(model, session, fitted_pose)
+        model = apply_first_pose(model, session, estimate)
     return draw_check(session, model, path)

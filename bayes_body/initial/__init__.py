@@ -1,17 +1,13 @@
-"""The first pose: given as angles, fitted to markers or keypoints, or found in the pictures; and the model that starts from it."""
+"""The first pose: given as angles, fitted to markers or keypoints, searched in the pictures, or stored; and the model that starts from it."""
 
 from bayes_body.initial.first import (
     Show,
     apply_first_pose,
-    check_first_pose,
     first_pose,
-    fit_first_pose,
-    is_fitted,
-    is_posed,
+    first_pose_source,
     load_model,
     unposed,
     with_first_keypoints,
-    with_first_pose,
 )
 from bayes_body.initial.fitting.report import FirstPose
 from bayes_body.initial.stored import restored, stored
@@ -20,15 +16,11 @@ __all__ = [
     "FirstPose",
     "Show",
     "apply_first_pose",
-    "check_first_pose",
     "first_pose",
-    "fit_first_pose",
-    "is_fitted",
-    "is_posed",
+    "first_pose_source",
     "load_model",
     "restored",
     "stored",
     "unposed",
     "with_first_keypoints",
-    "with_first_pose",
 ]

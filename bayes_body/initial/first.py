@@ -1,9 +1,10 @@
-"""A session's model with its first pose: the session's angles, or the pose that fits its markers and keypoints best; and the fitted outline."""
+"""The first pose of a session: given, fitted, searched or stored; and the model that starts from it."""
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +17,9 @@ from bayes_body.initial.fitting.misfit import Problem
 from bayes_body.initial.fitting.outline import LEAST_OVERLAP, fit_outline
 from bayes_body.initial.fitting.points import body_points, factors
 from bayes_body.initial.fitting.problem import build_problem
-from bayes_body.initial.fitting.report import FirstPose, tell
-from bayes_body.initial.search.automatic import check_pictures, find_first_pose
+from bayes_body.initial.fitting.report import FirstPose, Source, tell
+from bayes_body.initial.search.automatic import find_first_pose
+from bayes_body.initial.stored import restored
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
 from bayes_body.recording.readers.keypoint_series import read_series
@@ -43,38 +45,78 @@ def load_model(name: str | Path | Definition, session: Session, show: Show = pri
     """
     model = build_model(name, session)
     session = with_first_keypoints(model, session)
-    if is_fitted(session) or not is_posed(model, session):
-        return apply_first_pose(model, session, fit_first_pose(model, session, show))
-    return model
+    return apply_first_pose(model, session, first_pose(model, session, show=show))
 
 
-def fit_first_pose(model: Model, session: Session, show: Show, seed: int = 0) -> FirstPose:
-    """Call `first_pose`, and show the user a line with the fit's duration and residuals and a line for each remark.
+def first_pose_source(model: Model, session: Session, table: Mapping[str, Any] | None = None) -> Source:
+    """Return where the first pose of a session comes from.
 
-    Without a first pose in the session, the person is searched for.
+    Args:
+        model: the model whose body is placed.
+        session: the recording, with its keypoints of frame 0 (`with_first_keypoints`).
+        table: the first pose of a run that is continued (`stored`); None if there is none.
     """
+    if table is not None:
+        return "stored"
+    if not _is_posed(model, session):
+        return "searched"
+    return "fitted" if session.initial_markers or session.initial_keypoints or session.fit_outline else "given"
+
+
+def first_pose(
+    model: Model,
+    session: Session,
+    source: Source | None = None,
+    *,
+    show: Show | None = None,
+    seed: int = 0,
+    table: Mapping[str, Any] | None = None,
+    table_name: str = "the first pose",
+) -> FirstPose:
+    """Return the pose of frame 0: given, fitted, searched or stored.
+
+    Angles that are given together with markers or keypoints are the centre of the fit's prior.
+
+    Args:
+        model: the model whose body is placed.
+        session: the recording, with its keypoints of frame 0 (`with_first_keypoints`).
+        source: where the pose comes from; by default what `first_pose_source` returns. With "fitted", the person is never searched for, and angles
+            without markers and keypoints are taken as they are.
+        show: receives a line with the duration and the residuals of a fit or a search, and a line for each remark.
+        seed: seed of the search.
+        table: a stored first pose.
+        table_name: its name in error messages.
+
+    Raises:
+        FaultyFileError: markers or keypoints hold values that cannot be used; one sentence for each.
+        InputError: there are too few points, lengths are to be fitted from one camera, an outline is to be fitted without silhouettes, the fit did
+            not converge, no person was found, or the stored pose cannot be used.
+    """
+    source = source or first_pose_source(model, session, table)
+    if source == "given":
+        return FirstPose(model.first_pose, source)
+    if source == "stored":
+        return restored(model, table or {}, table_name)
+    show = show or _show_nothing
     begun = time.perf_counter()
-    if is_posed(model, session):
-        estimate = first_pose(model, session)
-    else:
-        estimate = _with_outline_if_asked(model, session, find_first_pose(model, session, show, seed))
-    misfits = [f"{1000 * estimate.median_m:.0f} mm off the markers"] if np.isfinite(estimate.median_m) else []
-    misfits += [f"{estimate.median_px:.0f} px off the keypoints"] if np.isfinite(estimate.median_px) else []
-    misfit = f", {' and '.join(misfits)} (median)" if misfits else ""
-    show(f"first pose: fitted in {time.perf_counter() - begun:.0f} s{misfit}")
-    for remark in estimate.remarks:
-        show(f"first pose: {remark}")
+    estimate = find_first_pose(model, session, show, seed) if source == "searched" else _fitted(model, session)
+    if session.fit_outline:
+        estimate = _with_outline(model, session, estimate)
+    _show_fit(estimate, time.perf_counter() - begun, show)
     return estimate
 
 
-def check_first_pose(model: Model, session: Session) -> None:
-    """Check that the session gives the first pose, or pictures in which to look for the person.
+def _show_nothing(line: str) -> None:
+    pass
 
-    Raises:
-        InputError: it gives neither, or frame 0 cannot be read; the body would be tracked from the origin of the world.
-    """
-    if not is_posed(model, session):
-        check_pictures(model, session)
+
+def _show_fit(estimate: FirstPose, seconds: float, show: Show) -> None:
+    misfits = [f"{1000 * estimate.median_m:.0f} mm off the markers"] if np.isfinite(estimate.median_m) else []
+    misfits += [f"{estimate.median_px:.0f} px off the keypoints"] if np.isfinite(estimate.median_px) else []
+    misfit = f", {' and '.join(misfits)} (median)" if misfits else ""
+    show(f"first pose: fitted in {seconds:.0f} s{misfit}")
+    for remark in estimate.remarks:
+        show(f"first pose: {remark}")
 
 
 def unposed(session: Session) -> Session:
@@ -82,7 +124,7 @@ def unposed(session: Session) -> Session:
     return replace(session, initial={}, initial_markers={}, initial_keypoints={})
 
 
-def is_posed(model: Model, session: Session) -> bool:
+def _is_posed(model: Model, session: Session) -> bool:
     """Return whether the session says where the body is in frame 0. A body on a fixed base needs no first pose."""
     return _is_placed(model, session) or bool(session.initial_markers or session.initial_keypoints)
 
@@ -100,7 +142,7 @@ def with_first_keypoints(model: Model, session: Session) -> Session:
     Raises:
         InputError: a file of keypoints cannot be read.
     """
-    if is_posed(model, session):
+    if _is_posed(model, session):
         return session
     keypoints: dict[str, Keypoints] = {}
     for view in session.views:
@@ -109,20 +151,6 @@ def with_first_keypoints(model: Model, session: Session) -> Session:
         if points:
             keypoints[view.camera.name] = points
     return replace(session, initial_keypoints=keypoints)
-
-
-def is_fitted(session: Session) -> bool:
-    """Return whether the session asks for a fit of its first pose or of the body's outline."""
-    return bool(session.initial_markers or session.initial_keypoints or session.fit_outline)
-
-
-def with_first_pose(model: Model, session: Session) -> Model:
-    """Return the model that starts from the session's first pose, with fitted lengths and outline if the session asks for them.
-
-    Raises:
-        InputError: as `first_pose`.
-    """
-    return apply_first_pose(model, session, first_pose(model, session))
 
 
 def apply_first_pose(model: Model, session: Session, estimate: FirstPose) -> Model:
@@ -138,24 +166,11 @@ def apply_first_pose(model: Model, session: Session, estimate: FirstPose) -> Mod
     return model.beginning_at(jnp.asarray(estimate.pose), estimate.draws)
 
 
-def first_pose(model: Model, session: Session) -> FirstPose:
-    """Return the pose of frame 0: the session's angles, or the pose that fits its markers and keypoints best.
-
-    Angles that are given together with markers or keypoints are the centre of the fit's prior.
-
-    Raises:
-        FaultyFileError: markers or keypoints hold values that cannot be used; one sentence for each.
-        InputError: there are too few points, lengths are to be fitted from one camera, an outline is to be fitted without silhouettes, or the fit did
-            not converge.
-    """
+def _fitted(model: Model, session: Session) -> FirstPose:
     if session.fit_lengths:
         _check_lengths(session)
-    return _with_outline_if_asked(model, session, _posed(model, session))
-
-
-def _posed(model: Model, session: Session) -> FirstPose:
     if not session.initial_markers and not session.initial_keypoints:
-        return FirstPose(model.first_pose)
+        return FirstPose(model.first_pose, "fitted")
     points = body_points(model.body.by_angles)
     measurements = read_measurements(session, points)
     problem = build_problem(model, session, points, measurements)
@@ -165,10 +180,6 @@ def _posed(model: Model, session: Session) -> FirstPose:
     if gain > SETTLED:
         remarks.append("the fit did not converge within its steps: check the first pose before you trust it")
     return estimate._replace(remarks=tuple(remarks))
-
-
-def _with_outline_if_asked(model: Model, session: Session, estimate: FirstPose) -> FirstPose:
-    return _with_outline(model, session, estimate) if session.fit_outline else estimate
 
 
 def _with_outline(model: Model, session: Session, estimate: FirstPose) -> FirstPose:

@@ -29,33 +29,33 @@ def stored(model: Model, estimate: FirstPose) -> dict[str, Any]:
     )
 
 
-def restored(model: Model, table: Mapping[str, Any], where: str) -> FirstPose:
+def restored(model: Model, table: Mapping[str, Any], table_name: str) -> FirstPose:
     """Return the first pose from a table.
 
     Args:
         model: the model to whose body the pose belongs.
         table: a table written by `stored`.
-        where: the table's name in error messages.
+        table_name: the table's name in error messages.
 
     Raises:
         InputError: the pose belongs to another body, or an entry is not a number.
     """
     pose, lengths, radii = table.get("pose"), table.get("lengths_m", {}), table.get("outline_radii_m", {})
     if not isinstance(pose, dict) or set(pose) != set(model.body.dof_names):
-        raise input_error(f"{where}: pose", "dofs of another body", f"a number for each dof of the body '{model.body.name}'", "start a new run")
+        raise input_error(f"{table_name}: pose", "dofs of another body", f"a number for each dof of the body '{model.body.name}'", "start a new run")
     if not isinstance(lengths, dict) or not isinstance(radii, dict) or not all(isinstance(ends, list) and len(ends) == 2 for ends in radii.values()):
-        raise input_error(where, "lengths or radii that are not numbers", "a number for each length, two for each part", "start a new run")
+        raise input_error(table_name, "lengths or radii that are not numbers", "a number for each length, two for each part", "start a new run")
     if not all(isinstance(value, float) for value in (*pose.values(), *lengths.values(), *chain.from_iterable(radii.values()))):
-        raise input_error(where, "some values are not numbers", "radians and metres", "start a new run")
+        raise input_error(table_name, "some values are not numbers", "radians and metres", "start a new run")
     dtype = model.body.lengths.dtype
     placed = jnp.asarray([pose[name] for name in model.body.dof_names], dtype)
-    draws = None if "draws" not in table else _draws(table["draws"], len(pose), where)
+    draws = None if "draws" not in table else _draws(table["draws"], len(pose), table_name)
     of_parts = {part: (base, tip) for part, (base, tip) in radii.items()}
-    return FirstPose(placed, lengths_m=lengths, outline_radii_m=of_parts, draws=None if draws is None else jnp.asarray(draws, dtype))
+    return FirstPose(placed, "stored", lengths_m=lengths, outline_radii_m=of_parts, draws=None if draws is None else jnp.asarray(draws, dtype))
 
 
-def _draws(rows: Any, dofs: int, where: str) -> Float[np.ndarray, "draw dof"]:
+def _draws(rows: Any, dofs: int, table_name: str) -> Float[np.ndarray, "draw dof"]:
     is_table = isinstance(rows, list) and bool(rows) and all(isinstance(row, list) and len(row) == dofs for row in rows)
     if not is_table or not all(isinstance(value, float) for row in rows for value in row):
-        raise input_error(f"{where}: draws", "no poses", f"rows of {dofs} numbers, radians and metres", "start a new run")
+        raise input_error(f"{table_name}: draws", "no poses", f"rows of {dofs} numbers, radians and metres", "start a new run")
     return np.array(rows, float)

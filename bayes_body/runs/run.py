@@ -18,15 +18,13 @@ from bayes_body.base.registry import find, notes
 from bayes_body.initial import (
     Show,
     apply_first_pose,
-    check_first_pose,
-    fit_first_pose,
-    is_fitted,
-    is_posed,
-    restored,
+    first_pose,
+    first_pose_source,
     stored,
     unposed,
     with_first_keypoints,
 )
+from bayes_body.initial.search.automatic import check_pictures
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.model.kernel_options import kernel_of, kernel_options
@@ -51,8 +49,6 @@ from bayes_body.runs.size import check_size, disk_lines, draws_to_keep
 from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.tracking.track import track
 from bayes_body.view.figures_text import warning_line
-
-# Kernels whose runs recover from a loss unless the user says otherwise.
 
 
 def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -> dict[str, Any]:
@@ -88,13 +84,14 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     # Everything that a user can correct is checked before the program is compiled.
     if chosen.init == GIVEN:
         session = with_first_keypoints(model, session)
-    fitted_before = "first_pose" in (before or {})
-    must_fit = (is_fitted(session) or not is_posed(model, session)) and not fitted_before
-    if not fitted_before:
-        check_first_pose(model, session)
+    first_pose_table = (before or {}).get("first_pose")
+    source = first_pose_source(model, session, first_pose_table)
+    if source == "searched":
+        check_pictures(model, session)
+    if source != "stored":
         check_silhouettes(session, model)
-        if not must_fit:
-            check_view(session, model)
+    if source == "given":
+        check_view(session, model)
     true_markers(session)
     recover = find("kernel", kind).recovers if chosen.recover is None else chosen.recover
     keep = draws_to_keep(chosen.keep, options.model_dump(), show)
@@ -107,9 +104,14 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         record = {**record, "definition": before["definition"]}
     pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
     kernel = kernel_of(kind, options)
-    compiling = compiled_ahead(session, model, kernel, options.particles) if must_fit and ahead is None else nullcontext(ahead)
-    with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and must_fit):
-        model, record = _with_first_pose(model, session, record, before, settings.out, show, chosen.seed)
+    is_slow = source in ("fitted", "searched")
+    compiling = compiled_ahead(session, model, kernel, options.particles) if is_slow and ahead is None else nullcontext(ahead)
+    with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and is_slow):
+        table_name = f"{settings.out / RUN_FILE}: first_pose"
+        estimate = first_pose(model, session, source, show=show, seed=chosen.seed, table=first_pose_table, table_name=table_name)
+        model = apply_first_pose(model, session, estimate)
+    if source != "given":
+        record = {**record, "first_pose": stored(model, estimate)}
     _show_first_fit(session, model, show)
     wanted, first = chosen.frames or session.frames, session.first_frame
     frames = _begin(settings.out, before, record, wanted, first, show, thinning_of(model.transition, keep))
@@ -131,19 +133,6 @@ def _chosen_model(session: Session, show: Show) -> str:
     choice = choose_model(session)
     show(choice.sentence)
     return choice.model
-
-
-def _with_first_pose(
-    model: Model, session: Session, record: Record, before: Mapping[str, Mapping[str, Any]] | None, out: Path, show: Show, seed: int
-) -> tuple[Model, Record]:
-    """Return the model with its first pose, and the record, with the pose if it was fitted or found. A continued run starts from its stored pose."""
-    if before and "first_pose" in before:
-        pose = restored(model, before["first_pose"], f"{out / RUN_FILE}: first_pose")
-    elif is_fitted(session) or not is_posed(model, session):
-        pose = fit_first_pose(model, session, show, seed)
-    else:
-        return model, record
-    return apply_first_pose(model, session, pose), {**record, "first_pose": stored(model, pose)}
 
 
 def _show_first_fit(session: Session, model: Model, show: Show) -> None:

@@ -67,7 +67,7 @@ def test_what_the_search_is_not_sure_of_is_shown(model, scene, found, monkeypatc
     lines = []
     monkeypatch.setattr(automatic, "_check_silhouettes", lambda model, session: None)
     monkeypatch.setattr(automatic, "PersonSearch", Search)
-    monkeypatch.setattr(automatic, "poses_of", lambda model, *_, **__: FirstPose(model.first_pose))
+    monkeypatch.setattr(automatic, "poses_of", lambda model, *_, **__: FirstPose(model.first_pose, "searched"))
     find_first_pose(model, scene(2), lines.append)
     assert (
         lines[1] == "first pose: no face was found in any view" and "markers are known to 10 mm (root mean square), by 3 effective draws" in lines[2]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.initial import first_pose, with_first_pose
+from bayes_body.initial import apply_first_pose, first_pose, first_pose_source, stored
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.build import build_model
 
@@ -39,7 +39,36 @@ def test_angles_are_taken_as_they_are(scene, model):
     found = first_pose(model, session)
     assert (found.pose == model.initial["pose"]).all()
     assert found.remarks == ()
-    assert (with_first_pose(model, session).initial["pose"] == model.initial["pose"]).all()
+    assert found.source == "given"
+    assert (apply_first_pose(model, session, found).initial["pose"] == model.initial["pose"]).all()
+
+
+PLACE = {"root_x": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "source"),
+    [
+        ({"initial": PLACE}, "given"),
+        ({"initial": PLACE, "fit_lengths": True}, "given"),
+        ({"initial": PLACE, "fit_outline": True}, "fitted"),
+        ({"initial_markers": {"pelvis": (0.0, 0.0, 1.0)}}, "fitted"),
+        ({"initial": {"l_knee": -0.7}, "fit_outline": True}, "searched"),
+        ({}, "searched"),
+    ],
+)
+def test_a_first_pose_has_a_source(scene, model, changes, source):
+    assert first_pose_source(model, scene(1, **changes)) == source
+    assert first_pose_source(model, scene(1, **changes), {"pose": {}}) == "stored"
+
+
+def test_a_stored_pose_is_used_unchanged(scene, model):
+    session = scene(1, initial=PLACE)
+    table = stored(model, first_pose(model, session))
+    restored = first_pose(model, session, table=table)
+    assert restored.source == "stored" and (restored.pose == model.first_pose).all()
+    with pytest.raises(InputError, match=r"run\.toml: pose: dofs of another body"):
+        first_pose(model, session, table={}, table_name="run.toml")
 
 
 def _random_poses(skeleton, rng, count):
@@ -154,7 +183,7 @@ def test_lengths_are_fitted_on_request(scene, model, walker, seen, errors_m):
         session = _with(session, initial_keypoints=keypoints)
         usual = build_model(model.definition, session)
         found = first_pose(usual, session)
-        fitted = with_first_pose(usual, session)
+        fitted = apply_first_pose(usual, session, found)
         assert found.lengths_m["l_thigh"] == pytest.approx(found.lengths_m["r_thigh"])
         assert errors_m(fitted.initial["pose"], person, of=fitted)["l_ankle"] < 0.1
         true = np.array([person.lengths[name] for name in usual.body.topology.names])
@@ -173,7 +202,7 @@ def test_lengths_from_one_camera_are_refused(scene, model, walker, seen):
     with pytest.raises(InputError, match=r"fit_lengths: true, with keypoints from 1 camera and no markers; expected .* two cameras"):
         first_pose(model, _with(session, initial_keypoints=keypoints))
     with pytest.raises(InputError, match="fit_lengths: true, with keypoints from 0 cameras"):
-        first_pose(model, session)
+        first_pose(model, session, "fitted")
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.base.errors import FaultyFileError, InputError
 from bayes_body.base.geometry.camera import project
-from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored, with_first_pose
+from bayes_body.initial import FirstPose, apply_first_pose, first_pose, restored, stored
 from bayes_body.initial.fitting.outline import fit_outline
 from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
@@ -126,7 +126,7 @@ def test_images_see_the_clothes_and_legs_pass_without_them(scene, recording):
     masks = dressed(scene)
     session = recording(masks)
     usual = build_model("silhouettes", session)
-    model = with_first_pose(usual, session)
+    model = apply_first_pose(usual, session, first_pose(usual, session))
     calf = model.body.topology.names.index("l_calf")
     likelihood, intersection = (factor.log_potential for factor in model.factors)
     assert likelihood.body.outline_radii[calf, 0] > 1.3 * usual.body.radii[calf, 0]
@@ -181,7 +181,7 @@ def test_a_pose_elsewhere_is_said_and_changes_nothing(scene, recording):
 
 def test_what_is_kept_comes_back(model):
     pose = model.initial["pose"]
-    found = FirstPose(pose, lengths_m={"l_thigh": 0.5}, outline_radii_m={"l_calf": (0.1, 0.07)})
+    found = FirstPose(pose, "fitted", lengths_m={"l_thigh": 0.5}, outline_radii_m={"l_calf": (0.1, 0.07)})
     table = stored(model, found)
     again = restored(model, table, "run.toml")
     assert (again.lengths_m, again.outline_radii_m) == (found.lengths_m, found.outline_radii_m)
@@ -197,7 +197,7 @@ def test_another_bodys_outline_is_not_taken(scene):
     session = scene(1)
     strange = replace(session, subject=Subject(body="arm_4", height_m=1.8, outline_radii_m={"upper_arm": (0.3, 0.3)}))
     model = build_model("silhouettes", strange)
-    found = FirstPose(model.initial["pose"], outline_radii_m={"l_calf": (0.1, 0.07)})
+    found = FirstPose(model.initial["pose"], "fitted", outline_radii_m={"l_calf": (0.1, 0.07)})
     calf = model.body.topology.names.index("l_calf")
     assert np.asarray(apply_first_pose(model, strange, found).body.outline_radii[calf]) == pytest.approx((0.1, 0.07))
 

@@ -14,7 +14,7 @@ from own_terms import plugins_of_this_test
 import bayes_body as bb
 from bayes_body.base.registry import find
 from bayes_body.cli.main import main
-from bayes_body.initial import with_first_pose
+from bayes_body.initial import apply_first_pose, first_pose
 from bayes_body.model.definition import load_definition
 from bayes_body.model.plugins.load import check_own_factors, load_plugin
 from bayes_body.recording.observation.frames import read_frame
@@ -128,7 +128,7 @@ def test_its_program_runs_and_a_wrong_keypoint_moves_the_pose_little(folder, mon
     exec(compile(PROGRAM.replace("session, model,", 'session, model, model.kernel("sir"),'), "plugins.md", "exec"), names)
     assert len(names["draws"].frames) == 3 and names["draws"].frames_lost == []
     session = names["session"]
-    model = with_first_pose(names["model"], session)
+    model = apply_first_pose(names["model"], session, first_pose(names["model"], session))
     found, skeleton = model.initial, model.body.skeleton
     density = model.density(model.observe(read_frame(session, 0)))
     check_own_factors(density, found)

@@ -1,7 +1,7 @@
 """The report of a fitted first pose: residuals by name, outliers, and sentences for the user."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,12 +18,16 @@ BAD = 3.0
 # Factor from the median absolute value of a normal variable to its standard deviation.
 NORMAL = 1.4826
 
+# Where a first pose comes from: angles of the session, a fit to its markers, keypoints or silhouettes, a search in the pictures, or a run's file.
+type Source = Literal["given", "fitted", "searched", "stored"]
+
 
 class FirstPose(NamedTuple):
     """A session's first pose and its residuals to the session's markers and keypoints.
 
     Attributes:
         pose: radians and metres, in the order of the body's dofs.
+        source: where it comes from.
         marker_residuals_m: by name, metres.
         keypoint_residuals_px: by camera and name, pixels; keypoints with confidence 0 are left out.
         median_m: median of the markers' residuals; NaN without markers.
@@ -36,6 +40,7 @@ class FirstPose(NamedTuple):
     """
 
     pose: Float[Array, " dof"]
+    source: Source
     marker_residuals_m: Mapping[str, float] = {}
     keypoint_residuals_px: Mapping[str, Mapping[str, float]] = {}
     median_m: float = float("nan")
@@ -64,6 +69,7 @@ def tell(
     groups = [markers, *cameras.values()]
     return FirstPose(
         pose=pose,
+        source="fitted",
         marker_residuals_m={row.name: row.residual for row in markers},
         keypoint_residuals_px={camera: {row.name: row.residual for row in rows} for camera, rows in cameras.items()},
         median_m=_median([row.residual for row in _bones(markers)]),

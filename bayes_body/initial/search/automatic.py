@@ -218,7 +218,7 @@ def fit_to(model: Model, session: Session, person: Found, seed: int = 0) -> Firs
     if not ahead.all():
         # Bodies that face the other way cannot start from the fit of the main way.
         poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, person.names, drawn[~ahead].mean(axis=0), drawn)[1])
-    return estimate._replace(draws=jnp.asarray(poses.round(DIGITS)))
+    return estimate._replace(source="searched", draws=jnp.asarray(poses.round(DIGITS)))
 
 
 def _fit_way(

@@ -20,7 +20,7 @@ from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.shapes import Key
-from bayes_body.initial import with_first_pose
+from bayes_body.initial import apply_first_pose, first_pose
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
 from bayes_body.recording.evidence.markers import MARKERS
@@ -105,7 +105,7 @@ class Scenes:
         model = build_model(definition, self.session)
         # Check that the recording has what the likelihoods read, before fitting the first pose.
         model.observe(read_frame(self.session, 0))
-        return Scene(self.session, with_first_pose(model, self.session), kind)
+        return Scene(self.session, apply_first_pose(model, self.session, first_pose(model, self.session, "fitted")), kind)
 
     def _drawn(self, definition: Definition) -> Scene:
         model = model_in_a_room(definition)

@@ -119,7 +119,7 @@ def trials(
             model = build_model(with_scale(definition, scale), sessions[place])
             if place not in starts:
                 # The fit of the first pose does not use the images, so it is the same for each scale.
-                starts[place] = first_pose(model, sessions[place])
+                starts[place] = first_pose(model, sessions[place], "fitted")
             trial = _trial(sessions[place], apply_first_pose(model, sessions[place], starts[place]), scale, kernel, particles, seed, frames)
             # Only numbers: the log does not store text.
             log.add(KEPT, number, {name: np.asarray(value) for name, value in trial._asdict().items() if name != "recording"})
