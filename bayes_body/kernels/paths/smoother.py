@@ -43,9 +43,6 @@ from bayes_body.kernels.batching import over_particles
 from bayes_body.kernels.smc.moves import Move, hmc
 from bayes_body.kernels.weights import LogWeights
 
-# The gain with which the acceptance rate of a frame adapts the logarithm of the step size of the frame before.
-GAIN = 1.0
-
 
 class Options(Schema):
     """Options of the smoother.
@@ -213,7 +210,7 @@ def build_smoother(**options: int | str) -> Smoother:
 
 def adapted(log_step_size: Scalar, acceptance_rate: Scalar, move: Move) -> Scalar:
     """Return the logarithm of the step size for the frame before."""
-    return log_step_size + GAIN * (acceptance_rate - move.acceptance_rate)
+    return move.adapt(log_step_size, acceptance_rate)
 
 
 def whitening_of(precision: Float[Array, "dof dof"]) -> Float[Array, "dof dof"]:

@@ -12,13 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.kernels.batching import over_particles
+from bayes_body.kernels.hmc.hamiltonian import DIVERGENCE, DOUBLINGS
 
 type Metric = Literal["diagonal", "dense", "low_rank"]
 
-# A trajectory with a larger energy error, in nats, counts as divergent.
-DIVERGENCE = 1000.0
-# Largest number of doublings of a trajectory.
-DOUBLINGS = 8
 # Largest rank of the correction of a low-rank metric.
 RANK = 20
 

@@ -30,6 +30,8 @@ type Target = Callable[[Position], tuple[Scalar, LogTerms]]
 
 # Limits of the step size's random factor. On a nearly Gaussian target, trajectories of constant length would return to their starts.
 JITTER = (0.6, 1.4)
+# The gain with which the acceptance rate of moves adapts the logarithm of the next step size.
+GAIN = 1.0
 
 
 def check_gradients(density: Density, what: str, alternative: str = "") -> None:
@@ -74,6 +76,10 @@ class Move(NamedTuple):
     acceptance_rate: float
     step_size: Callable[[int], float]
     evaluations: int
+
+    def adapt(self, log_step_size: Scalar, acceptance_rate: Scalar) -> Scalar:
+        """Return the logarithm of the next step size. An acceptance rate of NaN, where nothing was moved, leaves it unchanged."""
+        return log_step_size + jnp.where(jnp.isnan(acceptance_rate), 0.0, GAIN * (acceptance_rate - self.acceptance_rate))
 
 
 class _Point(NamedTuple):

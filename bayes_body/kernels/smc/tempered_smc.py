@@ -58,9 +58,6 @@ from bayes_body.kernels.weights import LogWeights, Resample, Scheme, effective_s
 
 type View = Extended | GaussianView
 
-# The gain with which the acceptance rate of a stage adapts the logarithm of the step size.
-GAIN = 1.0
-
 
 class Options(Schema):
     """Options of `[kernel] kind = "tempered"`.
@@ -211,7 +208,6 @@ class _Sampler:
         # If rounding in float32 left the sum just below 1, that would cost one more stage.
         reached = jax.tree.map(lambda power: jnp.where(power > 1 - 1e-6, 1.0, power), reached)
         acceptance, impossible = (jnp.asarray(rate, state.log_step_size.dtype) for rate in after.info)
-        excess = jnp.where(jnp.isnan(acceptance), 0.0, GAIN * (acceptance - self.move.acceptance_rate))
         return TemperedState(
             particles=after.particles,
             log_weights=after.log_weights,
@@ -219,7 +215,7 @@ class _Sampler:
             stage=stage + 1,
             stages_at_top=state.stages_at_top + at_top,
             log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment - potentials_share(step, after.particles.terms)),
-            log_step_size=state.log_step_size + excess,
+            log_step_size=self.move.adapt(state.log_step_size, acceptance),
             ladder=state.ladder.with_powers(stage, reached),
             survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
             acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
