@@ -10,6 +10,7 @@ import typer
 from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say, show
+from bayes_body.cli.track import check_range
 
 if TYPE_CHECKING:
     from bayes_body.workshop.compare import Pair, Row, Settings
@@ -46,8 +47,7 @@ def benchmark(
     from bayes_body.workshop.compare import Settings, pairs
     from bayes_body.workshop.compare.benchmark import QUICK
 
-    if frames is not None and frames < 1:
-        raise input_error("--frames", str(frames), "a whole number from 1 up", "give another number")
+    check_range("--frames", frames, 1)
     if session is not None:
         load_session(session)
     settings = replace(QUICK if quick else Settings(), seed=seed, session=session)

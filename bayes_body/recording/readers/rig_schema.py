@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from bayes_body.base.toml.schema import Finite, NonNegative, Positive, Schema
-from bayes_body.recording.session.schema import Far, Rows, Size, rotation_fault
+from bayes_body.recording.session.schema import Far, Rotation, Size
 from bayes_body.recording.session.session import lens_faults
 
 type Point = tuple[Far, Far, Far]
@@ -34,13 +34,6 @@ def file_name(text: str) -> str:
 def _both(value: Any) -> Any:
     """Accept one focal length for both x and y."""
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-def _rotation(rows: "Rows") -> "Rows":
-    fault = rotation_fault(np.array(rows))
-    if fault:
-        raise ValueError(fault)
-    return rows
 
 
 def direction_faults(position: "Point | None", look_at: "Point | None") -> Iterator[str]:
@@ -83,7 +76,7 @@ class RigCameraTable(Schema):
     look_at_m: Point | None = None
     roll_deg: Finite = 0.0
     grey: Annotated[bool, Field(strict=True)] = False
-    rotation: Annotated[Rows, AfterValidator(_rotation)] | None = None
+    rotation: Rotation | None = None
     translation_m: Point | None = None
     path: tuple[KeyframeTable, ...] = ()
 

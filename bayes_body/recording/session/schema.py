@@ -79,6 +79,7 @@ Length = Annotated[Positive, _metres(LONGEST_M)]
 Pattern = Annotated[Name, AfterValidator(_pattern)]
 type Row = tuple[Finite, Finite, Finite]
 type Rows = tuple[Row, Row, Row]
+Rotation = Annotated[Rows, AfterValidator(_rotation)]
 
 
 class CameraTable(Schema):
@@ -90,7 +91,7 @@ class CameraTable(Schema):
     centre_px: tuple[Finite, Finite]
     skew: Finite = 0.0
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    rotation: Annotated[Rows, AfterValidator(_rotation)]
+    rotation: Rotation
     translation_m: tuple[Far, Far, Far]
     images: Pattern | None = None
     video: FilePath | None = None

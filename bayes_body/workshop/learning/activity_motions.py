@@ -11,7 +11,7 @@ from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.skeleton import Topology
 from bayes_body.recording.readers.mocap import landmarks, resample
 from bayes_body.recording.readers.mocap.motion import Motion
-from bayes_body.workshop.learning.gait import NEEDED, is_run, points_of, speed
+from bayes_body.workshop.learning.gait import fault_of_walk
 from bayes_body.workshop.learning.walking_angles import ROOT, retargeted
 
 # Dofs that are not learned, besides the root's.
@@ -29,12 +29,7 @@ class Captured(NamedTuple):
 
 def no_walk(name: str, motion: Motion) -> str | None:
     """Return why a motion is not used as a walk, or None."""
-    points = landmarks(motion)
-    if not set(NEEDED) <= set(points_of(points)):
-        return f"{name}: points unknown in some frames: left out"
-    if is_run(points, motion.fps):
-        return f"{name}: {speed(points, motion.fps):.1f} m/s is a run: left out"
-    return None
+    return fault_of_walk(name, landmarks(motion), motion.fps)
 
 
 def captured(name: str, subject: str, label: str, motion: Motion, body: str, schema: BodySchema, fps: float) -> Captured:

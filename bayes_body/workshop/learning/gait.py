@@ -97,6 +97,15 @@ def is_run(landmarks: Points, fps: float) -> bool:
     return bool(speed(landmarks, fps) ** 2 > RUN * GRAVITY * leg_length(landmarks))
 
 
+def fault_of_walk(name: str, landmarks: Points, fps: float) -> str | None:
+    """Return why captured landmarks are not used as a walk, or None."""
+    if not set(NEEDED) <= set(points_of(landmarks)):
+        return f"{name}: points unknown in some frames: left out"
+    if is_run(landmarks, fps):
+        return f"{name}: {speed(landmarks, fps):.1f} m/s is a run: left out"
+    return None
+
+
 def leg_length(landmarks: Points) -> float:
     """The length of thigh and shank together, metres; mean of both legs."""
     names = points_of(landmarks)

@@ -29,7 +29,7 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.dynamics.angle_cycle import AngleCycle
 from bayes_body.recording.readers.mocap import landmarks, resample
 from bayes_body.recording.readers.mocap.motion import Motion
-from bayes_body.workshop.learning.gait import GRAVITY, NEEDED, TERMS, heel_strikes, height, is_run, leg_length, points_of, series_of, speed, terms
+from bayes_body.workshop.learning.gait import GRAVITY, TERMS, fault_of_walk, heel_strikes, height, leg_length, points_of, series_of, terms
 
 EXPLAINED = 0.95
 # Frames a second of the angles. Eight harmonics of the fastest stride (0.6 s) need 27.
@@ -66,13 +66,10 @@ class LearnedAngles:
 def unusable(name: str, motion: Motion) -> str | None:
     """Return why strides cannot be learned from a motion, or None. This is known before the motion is retargeted, which takes long."""
     points = landmarks(motion)
-    if not set(NEEDED) <= set(points_of(points)):
-        return f"{name}: points unknown in some frames: left out"
-    if is_run(points, motion.fps):
-        return f"{name}: {speed(points, motion.fps):.1f} m/s is a run: left out"
-    if len(strikes_of(points, motion.fps)) < 2:
+    fault = fault_of_walk(name, points, motion.fps)
+    if fault is None and len(strikes_of(points, motion.fps)) < 2:
         return f"{name}: no whole stride: left out"
-    return None
+    return fault
 
 
 def angles_of_walk(name: str, subject: str, motion: Motion, body: str, schema: BodySchema) -> AngleWalk:
