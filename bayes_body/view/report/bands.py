@@ -9,7 +9,7 @@ from bayes_body.view.colours import paper
 from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
 from bayes_body.view.report.dependence import density_details
-from bayes_body.view.report.figures import encoded, new_panel, shade_lost, time_axis, time_label
+from bayes_body.view.report.figures import encoded, frame_panel, time_label
 from bayes_body.view.report.inspection import Inspection, by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
@@ -63,14 +63,12 @@ def _panel(inspection: Inspection, place: int) -> Picture:
     name, unit, bands = spoken(inspection.dofs[place]), inspection.units[place], not inspection.diagnosis.mode_seeker
     sparse = sparse_frames(inspection.frames.step)
     label = time_label(inspection.fps, f"{sparse} frame" if sparse else "")
-    figure, axes = new_panel(name, label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
+    figure, axes = frame_panel(inspection, name, label, "angle, degrees" if unit == "°" else "position, m", (3.6, 2.1))
     mean, low, high = (values[:, place] for values in (inspection.curves.mean, inspection.curves.q05, inspection.curves.q95))
     frames = np.asarray(inspection.frames)
-    shade_lost(axes, inspection.lost)
     if inspection.filtered:
         draw_filter(axes, frames, inspection.filtered.dofs, place, bands)
     draw_band(axes, frames, mean, (low, high) if bands else None, paper(inspection.dofs[place]))
-    time_axis(axes, inspection.run.frames, inspection.fps)
     shown = [mean, low, high] if bands else [mean]
     shown += drawn_filter(inspection.filtered.dofs, place, bands) if inspection.filtered else []
     axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN[unit]))

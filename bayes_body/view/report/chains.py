@@ -14,7 +14,7 @@ from bayes_body.results.posterior.mixing import Mixing, autocorrelation
 from bayes_body.view.colours import GREY, paper, run_line
 from bayes_body.view.crop import crop_about
 from bayes_body.view.overlay import run_backdrop
-from bayes_body.view.report.figures import data_uri, draw_limit, draw_runs, encoded, new_panel, shade_lost, time_axis
+from bayes_body.view.report.figures import draw_limit, encoded, median_and_range, new_panel, run_panel, webp_uri
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 from bayes_body.view.report.runs import dof_map
@@ -84,14 +84,11 @@ def _panel(
     limits: tuple[float, ...],
     span: tuple[float, float | None],
 ) -> Picture:
-    figure, axes = new_panel(title, inspection.x_label, label)
-    shade_lost(axes, inspection.lost)
-    draw_runs(axes, np.arange(values.shape[1]), values)
+    figure, axes = run_panel(inspection, title, label, values)
     for limit in limits:
         draw_limit(axes, limit)
     axes.set_ylim(*span)
-    time_axis(axes, values.shape[1], inspection.fps)
-    return encoded(figure, f"{title} over the frames: median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
+    return encoded(figure, f"{title} over the frames: {median_and_range(values)}.")
 
 
 def _rhat_map(inspection: Inspection, mixing: Mixing) -> Picture:
@@ -137,11 +134,9 @@ def _path(inspection: Inspection, mixing: Mixing, frame: int) -> Picture:
     corners = np.concatenate(polygons) if polygons else np.zeros((0, 2))
     picture = crop_about(corners, (image.shape[1], image.shape[0]), WIDEST).cut(image)
     name = session.views[shown].camera.name
-    encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
     caption = f"Camera {name}, frame {inspection.number(frame)}: {len(chosen)} of {len(chain)} states of a chain."
-    return Picture(
-        data_uri("image/webp", encoded), f"Path of a chain over frame {inspection.number(frame)} of camera {name}.", caption, inverts=False
-    )
+    alt = f"Path of a chain over frame {inspection.number(frame)} of camera {name}."
+    return Picture(webp_uri(picture, QUALITY), alt, caption, inverts=False)
 
 
 def _camera(inspection: Inspection, frame: int) -> int:

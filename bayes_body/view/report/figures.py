@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from cv2.typing import MatLike
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
@@ -22,6 +24,8 @@ from bayes_body.view.report.markup import Picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bayes_body.view.report.inspection import Inspection
 
 PANEL = (3.6, 2.5)
 # With more runs than this, their names would not fit beside a plot.
@@ -82,6 +86,23 @@ def new_panel(title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> 
     return figure, axes
 
 
+def frame_panel(inspection: "Inspection", title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> "tuple[Figure, Axes]":
+    """Return an empty panel over the frames of a run, with the lost frames shaded."""
+    figure, axes = new_panel(title, x, y, size)
+    shade_lost(axes, inspection.lost)
+    time_axis(axes, inspection.run.frames, inspection.fps)
+    return figure, axes
+
+
+def run_panel(inspection: "Inspection", title: str, y: str, values: Float[np.ndarray, "run frame"]) -> "tuple[Figure, Axes]":
+    """Return a panel with a line for each run over the frames."""
+    figure, axes = frame_panel(inspection, title, inspection.x_label, y)
+    draw_runs(axes, np.arange(values.shape[1]), values)
+    # Names of lines are placed by the limits of the axes, which would otherwise be found only when the panel is drawn.
+    axes.autoscale_view()
+    return figure, axes
+
+
 def set_margins(figure: "Figure", left: float = MARGINS[0], right: float = MARGINS[1]) -> None:
     """Leave room around the axes for their labels, `left` and `right` in inches."""
     (width, height), (_, _, bottom, top) = figure.get_size_inches(), MARGINS
@@ -130,13 +151,23 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
+def webp_uri(image: MatLike, quality: int) -> str:
+    """Return a `data:` URI of an image as WebP; `quality` is up to 100."""
+    return data_uri("image/webp", cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes())
+
+
+def median_and_range(values: NDArray[np.floating]) -> str:
+    """Return for example `median 0.8, from 0.7 to 0.95`, of the values that are known."""
+    return f"median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}"
+
+
 def draw_runs(axes: "Axes", frames: NDArray[np.integer], values: Float[np.ndarray, "run frame"]) -> None:
     """Draw one line for each run over the frames. If frames share points, draw each bin's median, and a band from its minimum to its maximum."""
     binned = bins(len(frames))
     for run, line in enumerate(values):
         style = {"color": INK, "linestyle": run_line(run), "label": run_label(run, len(values))}
         if len(binned) == len(frames):
-            axes.plot(frames, line, **style, **_mark(len(frames)))
+            axes.plot(frames, line, **style, **point_marks(len(frames)))
             continue
         low, middle, high = (np.array([_statistic(piece, line[part]) for part in binned]) for piece in (np.min, np.median, np.max))
         starts = frames[[part.start for part in binned]]
@@ -161,8 +192,8 @@ def _statistic(piece: Callable[..., np.floating], values: NDArray[np.floating]) 
     return float(piece(finite)) if finite.size else float("nan")
 
 
-def _mark(frames: int) -> dict[str, Any]:
-    # A line through two or three frames is hard to see without markers, and a single frame gives no line.
+def point_marks(frames: int) -> dict[str, Any]:
+    """Return the marks of a line over that many frames: a line through two or three is hard to see without them, and a single frame has no line."""
     return {"marker": "o", "markersize": 3.5} if frames <= 12 else {}
 
 

@@ -1,7 +1,6 @@
 """The section on the filter over the frames: effective particles, weights, ancestors, log-evidence, layers, and the cameras in use."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,20 +10,18 @@ from bayes_body.view.colours import INK, SEQUENTIAL
 from bayes_body.view.report.figures import (
     bins,
     draw_limit,
-    draw_runs,
     encoded,
+    frame_panel,
     log_counts,
     log_values,
     new_panel,
-    shade_lost,
+    point_marks,
+    run_panel,
     time_axis,
     time_label,
 )
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 def filter_section(inspection: Inspection) -> Markup:
@@ -41,16 +38,14 @@ def filter_section(inspection: Inspection) -> Markup:
 def _weights(inspection: Inspection) -> Iterator[Picture]:
     diagnosis, count = inspection.diagnosis, inspection.diagnosis.particles
     least = max(inspection.limits.ess, inspection.limits.ess_share * count)
-    figure, axes = new_panel("Effective particles", inspection.x_label, f"of {count:,} (log scale)")
-    _draw(axes, inspection, diagnosis.ess)
+    figure, axes = run_panel(inspection, "Effective particles", f"of {count:,} (log scale)", diagnosis.ess)
     log_counts(axes, count)
     if not diagnosis.mode_seeker:
         draw_limit(axes, least)
     yield encoded(figure, f"Effective sample size over the frames, median {np.median(diagnosis.ess):.0f} of {count} particles.")
     # The weights of a mode seeker are not importance weights.
     if np.isfinite(diagnosis.pareto_k).any() and not diagnosis.mode_seeker:
-        figure, axes = new_panel("Tail of the weights", inspection.x_label, "Pareto k")
-        _draw(axes, inspection, np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
+        figure, axes = run_panel(inspection, "Tail of the weights", "Pareto k", np.where(np.isfinite(diagnosis.pareto_k), diagnosis.pareto_k, np.nan))
         draw_limit(axes, inspection.limits.pareto_k)
         worst = np.max(diagnosis.pareto_k[np.isfinite(diagnosis.pareto_k)])
         yield encoded(figure, f"Pareto k of the weights over the frames, at most {worst:.2f}; the limit is {inspection.limits.pareto_k}.")
@@ -62,8 +57,7 @@ def _ancestry(inspection: Inspection) -> Iterator[Picture]:
         if not np.isfinite(counts).any():
             continue
         back = "1 frame back" if lag == 1 else f"{lag} frames back"
-        figure, axes = new_panel(f"Ancestors {back}", inspection.x_label, "particles (log scale)")
-        _draw(axes, inspection, counts)
+        figure, axes = run_panel(inspection, f"Ancestors {back}", "particles (log scale)", counts)
         log_counts(axes, diagnosis.particles)
         if lag == 1:
             draw_limit(axes, inspection.limits.ancestors)
@@ -74,13 +68,13 @@ def _evidence(inspection: Inspection) -> Iterator[Picture]:
     diagnosis = inspection.diagnosis
     if not np.isfinite(diagnosis.log_evidence).any():
         return
-    figure, axes = new_panel("Log-evidence of a frame", inspection.x_label, "nats")
-    _draw(axes, inspection, np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan))
+    figure, axes = run_panel(
+        inspection, "Log-evidence of a frame", "nats", np.where(np.isfinite(diagnosis.log_evidence), diagnosis.log_evidence, np.nan)
+    )
     yield encoded(figure, "Log-evidence of each frame given the frames before it.")
     spread = diagnosis.evidence_sd_frames
     if np.isfinite(spread).any():
-        figure, axes = new_panel("Spread of the log-evidence", inspection.x_label, "sd over the runs, nats")
-        _draw(axes, inspection, spread[None])
+        figure, axes = run_panel(inspection, "Spread of the log-evidence", "sd over the runs, nats", spread[None])
         axes.set_ylim(bottom=0)
         yield encoded(figure, f"Standard deviation over the runs of the log-evidence of a frame, at most {np.nanmax(spread):.2f} nats.")
 
@@ -96,8 +90,7 @@ def _layers(inspection: Inspection) -> Iterator[Picture]:
     if rates.shape[-1] > 1:
         numbers = np.isfinite(rates).sum(axis=-1).astype(float)
         if np.ptp(numbers):
-            figure, axes = new_panel("Layers", inspection.x_label, "layers per frame")
-            _draw(axes, inspection, numbers)
+            figure, axes = run_panel(inspection, "Layers", "layers per frame", numbers)
             axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
             yield encoded(figure, f"Number of layers in each frame, from {numbers.min():.0f} to {numbers.max():.0f}.")
         yield _by_layer(inspection, rates, "Survival rate of a layer", "fraction of particles", False)
@@ -123,8 +116,7 @@ def _by_layer(
     layers = np.flatnonzero(known)
     binned = bins(values.shape[1])
     colours = mpl.colormaps[SEQUENTIAL](np.linspace(0.35, 1, max(len(layers), 2)))
-    figure, axes = new_panel(title, inspection.x_label, y_label)
-    shade_lost(axes, inspection.lost)
+    figure, axes = frame_panel(inspection, title, inspection.x_label, y_label)
     for number, (layer, colour) in enumerate(zip(layers, colours[: len(layers)], strict=True)):
         line = [_median(values[:, piece, layer]) for piece in binned]
         named = len(layers) > 1 and number in (0, len(layers) - 1)
@@ -132,9 +124,8 @@ def _by_layer(
             [piece.start for piece in binned],
             line,
             color=colour,
-            marker="o" if values.shape[1] <= 12 else "",
-            markersize=3.5,
             label=f"layer {layer + 1}" if named else None,
+            **point_marks(values.shape[1]),
         )
     if logarithmic:
         log_values(axes)
@@ -142,7 +133,6 @@ def _by_layer(
         axes.set_ylim(-0.03, 1.03)
     for limit in limits:
         draw_limit(axes, limit)
-    time_axis(axes, values.shape[1], inspection.fps)
     return encoded(figure, f"{title} over the frames, the median of the runs, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}.")
 
 
@@ -178,9 +168,3 @@ def _stretches(flags: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:
 def _short(name: str) -> str:
     name = escaped(name)
     return name if len(name) <= 9 else f"{name[:8]}…"
-
-
-def _draw(axes: "Axes", inspection: Inspection, values: Float[np.ndarray, "run frame"]) -> None:
-    shade_lost(axes, inspection.lost)
-    draw_runs(axes, np.arange(values.shape[1]), values)
-    time_axis(axes, values.shape[1], inspection.fps)

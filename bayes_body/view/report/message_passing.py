@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from bayes_body.results.posterior.message_passing import PARTS, MessagePassing
 from bayes_body.view.colours import GREY, INK, paper, run_line
-from bayes_body.view.report.figures import draw_limit, draw_runs, encoded, log_counts, new_panel, shade_lost, time_axis
+from bayes_body.view.report.figures import draw_limit, encoded, frame_panel, log_counts, median_and_range, new_panel, point_marks, run_panel
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
 
@@ -65,29 +65,22 @@ def _panels(inspection: Inspection, passing: MessagePassing) -> Iterator[Picture
 
 def _panel(inspection: Inspection, values: Float[np.ndarray, "run frame"], title: str, label: str, limit: float, most: int | None = None) -> Picture:
     """Return the worst part of every frame; with `most`, as a count up to it."""
-    figure, axes = new_panel(title, inspection.x_label, label)
-    shade_lost(axes, inspection.lost)
-    draw_runs(axes, np.arange(values.shape[1]), values)
+    figure, axes = run_panel(inspection, title, label, values)
     draw_limit(axes, limit)
     if most is None:
         axes.set_ylim(0, 1.15 * max(limit, float(np.nanmax(values))))
     else:
         log_counts(axes, most)
-    time_axis(axes, values.shape[1], inspection.fps)
-    span = f"median {np.nanmedian(values):.3g}, from {np.nanmin(values):.3g} to {np.nanmax(values):.3g}"
-    return encoded(figure, f"{title} over the frames, the worst part of each: {span}; the limit is {limit:g}.")
+    return encoded(figure, f"{title} over the frames, the worst part of each: {median_and_range(values)}; the limit is {limit:g}.")
 
 
 def _shares(inspection: Inspection, passing: MessagePassing) -> Picture:
     mean = passing.proposal_shares.mean(axis=(0, 2))
-    figure, axes = new_panel("Parts of the proposal", inspection.x_label, "share of the weight")
-    shade_lost(axes, inspection.lost)
+    figure, axes = frame_panel(inspection, "Parts of the proposal", inspection.x_label, "share of the weight")
     brought = [number for number in range(len(PARTS)) if np.nanmax(mean[:, number]) > 0]
-    mark = {"marker": "o", "markersize": 3.5} if len(mean) <= 12 else {}
     for number in brought:
-        axes.plot(mean[:, number], color=INK, linestyle=run_line(number), label=PARTS[number], **mark)
+        axes.plot(mean[:, number], color=INK, linestyle=run_line(number), label=PARTS[number], **point_marks(len(mean)))
     axes.set_ylim(-0.03, 1.03)
-    time_axis(axes, len(mean), inspection.fps)
     named = ", ".join(f"{PARTS[number]} {np.nanmean(mean[:, number]):.2f}" for number in brought)
     return encoded(figure, f"Share of each part of the proposal in the weight of the particles, mean over the frames: {named}.")
 

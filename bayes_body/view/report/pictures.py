@@ -11,7 +11,7 @@ from cv2.typing import MatLike
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.video_stream import open_video, picture_of
-from bayes_body.view.report.figures import data_uri
+from bayes_body.view.report.figures import data_uri, webp_uri
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 
 ABOUT = (
@@ -81,8 +81,7 @@ def _picture(uri: str, alt: str, caption: str, still: str | None = None) -> Pict
 
 
 def _still_uri(image: MatLike, quality: Quality) -> str:
-    encoded = cv2.imencode(".webp", narrowed(image, quality.still_width), [cv2.IMWRITE_WEBP_QUALITY, quality.still])[1]
-    return data_uri("image/webp", encoded.tobytes())
+    return webp_uri(narrowed(image, quality.still_width), quality.still)
 
 
 def narrowed(image: MatLike, width: int) -> MatLike:

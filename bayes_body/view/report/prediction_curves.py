@@ -16,7 +16,7 @@ from bayes_body.base.errors import escaped
 from bayes_body.view.colours import GREY, INK, bgr, over_image, run_line
 from bayes_body.view.crop import Crop, crop_about
 from bayes_body.view.overlay import backdrop, label
-from bayes_body.view.report.figures import data_uri, encoded, new_panel, shade_lost, time_axis, time_label
+from bayes_body.view.report.figures import encoded, frame_panel, time_label, webp_uri
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Picture
 from bayes_body.view.report.predicted_silhouettes import body_masks, seen_mask
@@ -24,6 +24,7 @@ from bayes_body.view.report.predictive import KeypointCheck, expected_pixels, ma
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from bayes_body.results.storage.saved_run import SavedRun
 
@@ -39,14 +40,12 @@ def error_panels(inspection: Inspection, frames: Int[np.ndarray, " frame"], chec
     for c, name in enumerate(cameras(inspection)):
         if not np.isfinite(check.error[:, c]).any():
             continue
-        figure, axes = new_panel(f"Camera {escaped(name)}", time_label(inspection.fps), "reprojection error, px", SIZE)
-        shade_lost(axes, inspection.lost)
+        figure, axes = _camera_panel(inspection, f"Camera {escaped(name)}", "reprojection error, px")
         if not seeker:
             _band(axes, frames, np.zeros(len(frames)), check.expected[:, c, 1])
         axes.plot(frames, middle[:, c], color=INK, label="median", **LINE)
         axes.plot(frames, high[:, c], color=INK, linestyle=run_line(2), label="90 % quantile", **LINE)
         axes.set_ylim(0, top)
-        _finish(inspection, axes)
         yield encoded(figure, f"Reprojection error in camera {name} over time: median {median(check.error[:, c]):.1f} px.")
 
 
@@ -74,8 +73,7 @@ def silhouette_panels(
     for c, name in enumerate(cameras(inspection)):
         if not np.isfinite(values[:, c]).any():
             continue
-        figure, axes = new_panel(f"Camera {escaped(name)}: {what}", time_label(inspection.fps), label, SIZE)
-        shade_lost(axes, inspection.lost)
+        figure, axes = _camera_panel(inspection, f"Camera {escaped(name)}: {what}", label)
         if np.isfinite(expected[:, c]).any():
             _band(axes, frames, expected[:, c, 0], expected[:, c, 1])
         if not inspection.diagnosis.mode_seeker:
@@ -84,7 +82,6 @@ def silhouette_panels(
         if what == "area":
             axes.axhline(0, color=GREY, linewidth=0.9)
         axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.02)))
-        _finish(inspection, axes)
         yield encoded(figure, f"Silhouettes of camera {name} over time, {label}: median {median(values[:, c]):.3g}.")
 
 
@@ -95,12 +92,12 @@ def _band(axes: "Axes", frames: Int[np.ndarray, " frame"], low: Float[np.ndarray
         axes.vlines(frames, low, high, color=GREY, alpha=0.4, linewidth=9)
 
 
-def _finish(inspection: Inspection, axes: "Axes") -> None:
-    time_axis(axes, inspection.run.frames, inspection.fps)
+def _camera_panel(inspection: Inspection, title: str, label: str) -> "tuple[Figure, Axes]":
+    figure, axes = frame_panel(inspection, title, time_label(inspection.fps), label, SIZE)
     if inspection.run.frames > 12:
         # The first and the last compared frame are the recording's: their marks must not be cut.
-        axes.margins(x=0.02)
         axes.set_xlim(-0.02 * inspection.run.frames, 1.02 * (inspection.run.frames - 1))
+    return figure, axes
 
 
 def cameras(inspection: Inspection) -> list[str]:
@@ -221,5 +218,4 @@ def _shifted(points: Float[np.ndarray, "point 2"]) -> np.ndarray:
 
 
 def _picture(picture: MatLike, alt: str) -> Picture:
-    content = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])[1].tobytes()
-    return Picture(data_uri("image/webp", content), alt, inverts=False)
+    return Picture(webp_uri(picture, QUALITY), alt, inverts=False)

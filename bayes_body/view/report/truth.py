@@ -13,7 +13,7 @@ from bayes_body.results.metrics.truth import AgainstTruth, Cloud, Clouds, agains
 from bayes_body.results.posterior.blocks import pose_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
-from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, run_label, shade_lost, time_axis, time_label
+from bayes_body.view.report.figures import encoded, frame_panel, frames_a_point, new_panel, point_marks, run_label, time_label
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
 
@@ -113,16 +113,14 @@ def told(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
 def _error(inspection: Inspection, comparison: AgainstTruth) -> Picture:
     """Return the plot of the error: one line for each run, over a band of the error that the runs expect."""
     step = frames_a_point(inspection.run.frames)
-    figure, axes = new_panel("Error", time_label(inspection.fps, f"{sparse_frames(step)} frame" if step > 1 else ""), "mean over the markers, mm")
+    label = time_label(inspection.fps, f"{sparse_frames(step)} frame" if step > 1 else "")
+    figure, axes = frame_panel(inspection, "Error", label, "mean over the markers, mm")
     frames, error = np.arange(0, inspection.run.frames, step), 1000 * comparison.plain.frame_error.T
-    mark = {"marker": "o", "markersize": 3.5} if len(frames) <= 12 else {}
-    shade_lost(axes, inspection.lost)
     if not inspection.diagnosis.mode_seeker:
         low, *_, high = 1000 * comparison.plain.expected.T
         axes.fill_between(frames, low, high, color=GREY, alpha=0.25, linewidth=0)
     for run, line in enumerate(error):
-        axes.plot(frames, line, color=INK, linestyle=run_line(run), label=run_label(run, len(error)), **mark)
-    time_axis(axes, inspection.run.frames, inspection.fps)
+        axes.plot(frames, line, color=INK, linestyle=run_line(run), label=run_label(run, len(error)), **point_marks(len(frames)))
     axes.set_ylim(bottom=0)
     alt = f"Error of the mean markers over the frames, from {np.nanmin(error):.0f} to {np.nanmax(error):.0f} mm."
     return encoded(figure, alt, ERROR if inspection.diagnosis.mode_seeker else f"{ERROR} {EXPECTED}")
