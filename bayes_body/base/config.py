@@ -67,14 +67,14 @@ def ignore_plot_settings_here() -> None:
     modules = [module for name, module in FOUND_IN_FOLDERS.items() if os.path.lexists(name) and module not in sys.modules]
     if not modules:
         return
-    before = os.open(".", os.O_RDONLY)
+    folder_before = os.open(".", os.O_RDONLY)
     os.chdir(Path(__file__).parent)
     try:
         for module in modules:
             import_module(module)
     finally:
-        os.chdir(before)
-        os.close(before)
+        os.chdir(folder_before)
+        os.close(folder_before)
 
 
 def _cores() -> int:

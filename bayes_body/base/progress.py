@@ -26,13 +26,13 @@ class ProgressLog:
     """The lines about one piece of work, from entering to leaving it.
 
     Args:
-        what: the work.
+        work: the work.
         unit: what a step is.
         clock: seconds that never go back.
     """
 
-    def __init__(self, what: str, unit: str = "", clock: Callable[[], float] = time.monotonic):
-        self.what, self.unit, self._clock = what, unit, clock
+    def __init__(self, work: str, unit: str = "", clock: Callable[[], float] = time.monotonic):
+        self.work, self.unit, self._clock = work, unit, clock
         self._lock, self._over = threading.Lock(), threading.Event()
         self._state, self._lines, self._next = "", 0, STEP
         self._begun = self._last = clock()
@@ -81,13 +81,13 @@ class ProgressLog:
     def _say(self, end: str) -> None:
         with self._lock:
             self._last, self._lines = self._clock(), self._lines + 1
-            text = f"{self.what}{self._state and ': '}{self._state}{end}"
+            text = f"{self.work}{self._state and ': '}{self._state}{end}"
             print(printable(f"[{time.strftime('%H:%M:%S')}] {text}"), file=sys.stderr, flush=True)
 
 
-def logged(what: str, items: Sequence[int]) -> Iterator[int]:
+def logged(work: str, items: Sequence[int]) -> Iterator[int]:
     """Yield the items, and log how many are done."""
-    with ProgressLog(what) as log:
+    with ProgressLog(work) as log:
         for done, item in enumerate(items, 1):
             yield item
             log.move(done, len(items))
@@ -107,23 +107,23 @@ def unwatched(frames: Sequence[int]) -> Iterable[int]:
     return frames
 
 
-def watched(what: str, visible: bool = True) -> Watch:
+def watched(work: str, visible: bool = True) -> Watch:
     """Return a function that shows the progress over its frames, for work without further figures, such as drawing."""
     if not visible:
         return unwatched
-    return lambda frames: follow(frames, what, console=Console(stderr=True), transient=True) if draws_bars() else logged(what, frames)
+    return lambda frames: follow(frames, work, console=Console(stderr=True), transient=True) if draws_bars() else logged(work, frames)
 
 
 @contextmanager
-def waiting(what: str, visible: bool = True) -> Iterator[None]:
+def waiting(work: str, visible: bool = True) -> Iterator[None]:
     """Show that work of unknown duration is in progress."""
     if not visible:
         yield
     elif draws_bars():
-        with Console(stderr=True).status(what):
+        with Console(stderr=True).status(work):
             yield
     else:
-        with ProgressLog(what) as log:
+        with ProgressLog(work) as log:
             log.begin()
             yield
 

@@ -59,7 +59,7 @@ def demo(
     finally:
         for line in lines:
             say(line)
-    _where(outputs)
+    _list_outputs(outputs)
     if has_display() if open_report is None else open_report:
         typer.launch(outputs.report.resolve().as_uri())
 
@@ -74,13 +74,13 @@ def _table(summary: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table("figure", "value", box=None, pad_edge=False)
-    for key, what, form in ROWS:
-        table.add_row(what, "-" if summary[key] is None else form.format(summary[key]))
+    for key, wording, form in ROWS:
+        table.add_row(wording, "-" if summary[key] is None else form.format(summary[key]))
     show(table)
 
 
-def _where(outputs: "Demo") -> None:
+def _list_outputs(outputs: "Demo") -> None:
     say()
-    for what, path in (("overlay", outputs.overlay), ("report", outputs.report), ("posterior", outputs.posterior), ("recording", outputs.recording)):
-        say(f"{what:<11}{path}")
+    for kind, path in (("overlay", outputs.overlay), ("report", outputs.report), ("posterior", outputs.posterior), ("recording", outputs.recording)):
+        say(f"{kind:<11}{path}")
     say(f'open the report in a browser; in Python: xarray.open_datatree("{outputs.posterior}")')

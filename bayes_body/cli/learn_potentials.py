@@ -73,7 +73,7 @@ def _people(motions: "Sequence[JointPoses]") -> int:
     return len({motion.subject for motion in motions})
 
 
-def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldOut") -> None:
+def _show(joints: "JointMixtures", subject: str, mixture: "HeldOut", single: "HeldOut") -> None:
     from rich.table import Table
 
     table = Table("joint", "mixture", "one Gaussian", "difference", "by person", box=None, pad_edge=False)
@@ -83,7 +83,7 @@ def _show(joints: "JointMixtures", what: str, mixture: "HeldOut", single: "HeldO
     for part, ours, theirs in [*rows, ("all", mixture.values.sum(axis=1), single.values.sum(axis=1))]:
         gain = ours - theirs
         table.add_row(part, f"{ours.mean():.2f}", f"{theirs.mean():.2f}", f"{gain.mean():.2f}", f"{gain.min():.2f} to {gain.max():.2f}")
-    show(f"log-density of {what}, nats a frame, mean of {len(mixture.subjects)} people", table)
+    show(f"log-density of {subject}, nats a frame, mean of {len(mixture.subjects)} people", table)
 
 
 def _record(

@@ -89,11 +89,11 @@ def _status(arguments: list[str]) -> int:
             complain(f"{STOPPED[stopped.code]}.")
         return stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None)
     except Exception as error:
-        known = error if isinstance(error, InputError) else fault_of_surroundings(error)
-        if known is None:
+        fault = error if isinstance(error, InputError) else fault_of_surroundings(error)
+        if fault is None:
             complain(_internal(error))
             return OUR_FAULT
-        for sentence in known.sentences if isinstance(known, FaultyFileError) else [str(known)]:
+        for sentence in fault.sentences if isinstance(fault, FaultyFileError) else [str(fault)]:
             complain(sentence)
         return WRONG_INPUT
     return 0
@@ -105,11 +105,11 @@ def _check_given(arguments: list[str]) -> None:
     Raises:
         InputError: there is one.
     """
-    for before, text in pairwise(["", *arguments]):
+    for previous, text in pairwise(["", *arguments]):
         name, equals, value = text.partition("=")
         if not text or (name.startswith("--") and equals and not value):
-            where = name or (before if before.startswith("--") else "an argument")
-            raise input_error(where, "empty", "a name, a path or a number", "give it, or leave it out")
+            subject = name or (previous if previous.startswith("--") else "an argument")
+            raise input_error(subject, "empty", "a name, a path or a number", "give it, or leave it out")
 
 
 def _report_lost_output(output: Guarded) -> int:

@@ -39,7 +39,9 @@ def list_models() -> None:
 
     table = Table("model", "reads", "dofs", "kernel", "what it is", box=None, pad_edge=False)
     definitions = [load_definition(name) for name in definition_names()]
-    places = {definition.name: [EVIDENCE.index(what) for what in evidence_of(definition) if what in EVIDENCE] for definition in definitions}
+    places = {
+        definition.name: [EVIDENCE.index(evidence) for evidence in evidence_of(definition) if evidence in EVIDENCE] for definition in definitions
+    }
     for definition in sorted(definitions, key=lambda definition: (definition.body_name.startswith("arm"), places[definition.name])):
         dofs = str(configuration_space(body_of(definition)).dimension)
         table.add_row(definition.name, ", ".join(evidence_of(definition)), dofs, definition.kernel.kind, definition.title)

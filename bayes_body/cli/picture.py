@@ -19,7 +19,7 @@ def picture(
     curves: str | None = typer.Option(None, "--curves", help="Curves over time instead: angles such as l_knee,r_knee, or knee for both sides."),
     size: int = typer.Option(2000, "--size", help=f"Longer side of a .png, pixels, {SIZES[0]} to {SIZES[1]}."),
     draws: int = typer.Option(40, "--draws", help=f"Draws from the posterior, 0 to {MOST_DRAWS}."),
-    whole: bool = typer.Option(False, "--whole", help="Show the whole image, not only the person's part of it."),
+    whole_image: bool = typer.Option(False, "--whole", help="Show the whole image, not only the person's part of it."),
     svg: bool = typer.Option(False, "--svg", help="Write .svg, in which bodies and text are vectors."),
     out: Path | None = typer.Option(None, "--out", help="The file: .png, .svg or .pdf; in the run's folder by default."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file that --out names."),
@@ -41,7 +41,7 @@ def picture(
         raise input_error("--draws", f"{draws}", f"a number from 0 to {MOST_DRAWS}", "give another number")
     if svg and out is not None and out.suffix.lower() != ".svg":
         raise input_error("--svg", f"with --out {out}", "a file with the suffix .svg", "leave one of them out")
-    if curves is not None and (frame is not None or camera is not None or whole):
+    if curves is not None and (frame is not None or camera is not None or whole_image):
         raise input_error("--curves", "with --frame, --camera or --whole", "curves of all frames, or a picture of one", "make two pictures")
     if out is not None:
         check_format(out)
@@ -55,5 +55,5 @@ def picture(
             shown = saved.session.views[0].camera.name if camera is None else camera
             number = saved.first_frame if frame is None else frame
             path = out or saved.folder / f"picture_{re.sub(r'[^A-Za-z0-9.-]', '_', shown)}_{number:06d}.{'svg' if svg else 'png'}"
-            write_picture(saved, path, frame, camera, size, draws, whole)
+            write_picture(saved, path, frame, camera, size, draws, whole_image)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB.")

@@ -40,8 +40,10 @@ def smooth(
         raise input_error("--start", f"'{start}'", "ensemble or particles", "give one of them")
     if resume and out is None:
         raise input_error("--resume", "no --out", "the folder of the smoothed run to continue", "name it with --out")
-    whole = run.resolve()
-    folder = out or free_folder(run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else whole.with_name(f"{whole.name}_smoothed"))
+    resolved = run.resolve()
+    folder = out or free_folder(
+        run.with_name(f"{run.name}_smoothed") if run.name not in ("", "..") else resolved.with_name(f"{resolved.name}_smoothed")
+    )
     options = {name: value for name, value in (("draws", draws), ("moves", moves), ("start", start)) if value is not None}
     with own_terms(plugin):
         smooth_run(SmoothSettings(run, folder, options, seed, resume, not no_pictures), show=lambda line: say(line), bar=True)

@@ -94,12 +94,12 @@ def guarded() -> Iterator[tuple[Guarded, Guarded]]:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = streams = _guard(before[0]), _guard(before[1])
+    streams_before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = streams = _guard(streams_before[0]), _guard(streams_before[1])
     try:
         yield streams
     finally:
-        sys.stdout, sys.stderr = before
+        sys.stdout, sys.stderr = streams_before
 
 
 def _guard(stream: Any) -> Guarded:

@@ -125,10 +125,10 @@ def _draw_body(axes: "Axes", body: Body, stance: Stance, panel: Panel) -> None:
         R = stance.rotations[j] @ np.asarray(body.presets[p], float)
         base = stance.origins[j] + stance.rotations[j] @ np.asarray(body.offsets[p], float)
         ends = _flat(np.stack([base, base + float(body.lengths[p]) * R[:, 2]]), panel)
-        across = np.cross(R[:, 2], sight)
-        across /= max(np.linalg.norm(across), 1e-9)
-        widths = np.asarray(body.radii[p], float) * float(np.linalg.norm(np.asarray(body.sections[p], float) * (across @ R[:, :2])))
-        side = _flat(across, panel)
+        width_axis = np.cross(R[:, 2], sight)
+        width_axis /= max(np.linalg.norm(width_axis), 1e-9)
+        widths = np.asarray(body.radii[p], float) * float(np.linalg.norm(np.asarray(body.sections[p], float) * (width_axis @ R[:, :2])))
+        side = _flat(width_axis, panel)
         corners = [ends[0] + widths[0] * side, ends[1] + widths[1] * side, ends[1] - widths[1] * side, ends[0] - widths[0] * side]
         axes.fill(*np.transpose(corners), facecolor=SKIN, edgecolor="white", linewidth=1.2, zorder=1)
 
@@ -176,12 +176,12 @@ def _arc(joint: Joint, flat: bool) -> Float[np.ndarray, "point 2"]:
     It is on the side of the segment that moves. About an axis in the picture's plane (`flat`) it is the near half of a circle in perspective.
     """
     above = joint.convention.distal in ("thorax", "head")
-    whole = joint.convention.proximal == LABORATORY
-    reach = ARC_M * (1.9 if whole else 1.0)
+    is_global = joint.convention.proximal == LABORATORY
+    reach = ARC_M * (1.9 if is_global else 1.0)
     if flat:
         turn = np.radians(np.linspace(-165, -15, 30))
-        return reach * np.stack([np.cos(turn), 0.3 * np.sin(turn) + (0.0 if whole else 1.0 if above else -0.8)], axis=-1)
-    middle = 180 if whole else 90 if above else -90
+        return reach * np.stack([np.cos(turn), 0.3 * np.sin(turn) + (0.0 if is_global else 1.0 if above else -0.8)], axis=-1)
+    middle = 180 if is_global else 90 if above else -90
     turn = np.radians(middle + np.linspace(-35, 35, 30))
     return reach * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 

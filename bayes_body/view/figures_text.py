@@ -50,8 +50,8 @@ def _accuracy(summary: Mapping[str, Any]) -> list[str]:
     if "error_mm_mean" not in figures:
         return []
     errors = [
-        f"{what} {figures[key]:.0f} mm"
-        for key, what in (
+        f"{wording} {figures[key]:.0f} mm"
+        for key, wording in (
             ("error_mm_std", "sd over the frames"),
             ("error_mm_optimistic", "best particle"),
             ("error_mm_relative", "relative to the pelvis"),

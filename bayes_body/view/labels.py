@@ -56,10 +56,10 @@ def _make_room(axes: "Axes", points: float) -> None:
 def _end(axes: "Axes", line: Line2D) -> float:
     """Return the height of a line's last known point, as a fraction of the axes."""
     x, y = (np.asarray(values, float) for values in line.get_data(orig=False))
-    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    if not known.size:
+    finite_places = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    if not finite_places.size:
         return 0.5
-    point = axes.transData.transform((x[known[-1]], y[known[-1]]))
+    point = axes.transData.transform((x[finite_places[-1]], y[finite_places[-1]]))
     return float(np.clip(axes.transAxes.inverted().transform(point)[1], 0, 1))
 
 

@@ -114,13 +114,13 @@ def mosaic(
     """
     model = seen_in(model, session, index)
     drawn = [outlines(model, pose) for pose in fan]
-    strong, which = outlines(model, central.pose), "" if central.is_mean else MEDOID
+    strong, medoid_note = outlines(model, central.pose), "" if central.is_mean else MEDOID
     tiles = []
     for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
         placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
         painted = paint(window.cut(picture, index), placed[0], placed[1:])
-        tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{which}{note}"))
+        tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{medoid_note}{note}"))
     return grid(tiles)
 
 
@@ -149,12 +149,12 @@ def _blend(picture: MatLike, opacity: float, parts: list[Outline], draw: Callabl
         return
     corners = np.concatenate([outline.polygon for outline in parts])
     size = np.array(picture.shape[1::-1])
-    left, top = np.clip(np.floor(corners.min(axis=0)) - LINE_PX, 0, size).astype(int)
+    first_column, top = np.clip(np.floor(corners.min(axis=0)) - LINE_PX, 0, size).astype(int)
     right, bottom = np.clip(np.ceil(corners.max(axis=0)) + LINE_PX, 0, size).astype(int)
-    region = picture[top:bottom, left:right]
+    region = picture[top:bottom, first_column:right]
     if region.size:
         layer = region.copy()
-        draw(layer, [Outline(outline.part, outline.polygon - (left, top)) for outline in parts])
+        draw(layer, [Outline(outline.part, outline.polygon - (first_column, top)) for outline in parts])
         region[:] = cv2.addWeighted(layer, opacity, region, 1 - opacity, 0)
 
 

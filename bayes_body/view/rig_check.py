@@ -59,16 +59,16 @@ def draw_check(session: Session, model: Model, path: Path) -> Path:
 def _tile(picture: MatLike, camera: Camera, body: list[Outline], up: str, text: str) -> MatLike:
     """Return the whole image, and beside it the part of it that shows the body, larger."""
     size = picture.shape[1], picture.shape[0]
-    whole = whole_image(size)
-    shown = _with_body(_draw_floor(whole.cut(picture), whole, camera, "xyz".index(up)), whole, body)
-    if not _draw_axes(shown, whole, camera, up):
+    full_crop = whole_image(size)
+    shown = _with_body(_draw_floor(full_crop.cut(picture), full_crop, camera, "xyz".index(up)), full_crop, body)
+    if not _draw_axes(shown, full_crop, camera, up):
         text += "\nworld origin not in view"
     tiles = [label(padded(shown), text)]
     points = np.concatenate([part.polygon for part in body]) if body else np.full((1, 2), -1.0)
     middle = points.mean(axis=0)
     if (middle >= 0).all() and (middle < size).all():
-        near = crop_about(points, size, STILL_HEIGHT, most_zoom=np.inf)
-        tiles.append(padded(_with_body(near.cut(picture), near, body)))
+        close_crop = crop_about(points, size, STILL_HEIGHT, most_zoom=np.inf)
+        tiles.append(padded(_with_body(close_crop.cut(picture), close_crop, body)))
     return np.hstack(tiles)
 
 
@@ -118,13 +118,13 @@ def _draw_floor(picture: MatLike, crop: Crop, camera: Camera, up: int) -> MatLik
 
 def _floor_lines(up: int) -> Float[np.ndarray, "line point 3"]:
     """Return lines one metre apart along both horizontal axes, as points in the world."""
-    along = np.linspace(-FLOOR_M, FLOOR_M, round(2 * FLOOR_M / PIECE_M) + 1)
+    places = np.linspace(-FLOOR_M, FLOOR_M, round(2 * FLOOR_M / PIECE_M) + 1)
     first, second = (axis for axis in range(3) if axis != up)
     lines = []
     for fixed, running in ((first, second), (second, first)):
         for value in range(-FLOOR_M, FLOOR_M + 1):
-            line = np.zeros((along.size, 3))
-            line[:, fixed], line[:, running] = value, along
+            line = np.zeros((places.size, 3))
+            line[:, fixed], line[:, running] = value, places
             lines.append(line)
     return np.stack(lines)
 

@@ -58,8 +58,8 @@ class Window(NamedTuple):
 
     def scaled(self, height: int) -> "Window":
         """Return the same window with a tile of that height."""
-        width, before = self.tile
-        return self._replace(tile=(2 * round(width * height / before / 2), height))
+        width, tile_height = self.tile
+        return self._replace(tile=(2 * round(width * height / tile_height / 2), height))
 
     def place(self, points: Float[np.ndarray, "point 2"], frame: int) -> Float[np.ndarray, "point 2"]:
         """Return the positions of image points, (column, row), in the tile of a frame."""
@@ -102,14 +102,14 @@ def _followed(
     boxes: Float[np.ndarray, "frame 2 2"], image: Float[np.ndarray, " 2"], fps: float
 ) -> tuple[Float[np.ndarray, "frame 2"], Float[np.ndarray, " 2"]]:
     """Return smooth centres, and the (width, height) around them that contains all boxes and the margin; the whole image if there is no box."""
-    known = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-    if not known.size:
+    shown_frames = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
+    if not shown_frames.size:
         return np.tile(image / 2, (len(boxes), 1)), image
-    middles = boxes[known].mean(axis=1)
+    middles = boxes[shown_frames].mean(axis=1)
     frames = np.arange(len(boxes))
-    followed = np.stack([np.interp(frames, known, middles[:, axis]) for axis in range(2)], axis=1)
+    followed = np.stack([np.interp(frames, shown_frames, middles[:, axis]) for axis in range(2)], axis=1)
     centres = gaussian_filter1d(followed, min(SMOOTHING_S * fps, MOST_SMOOTHING), axis=0, mode="nearest")
-    reach = np.maximum(boxes[known, 1] - centres[known], centres[known] - boxes[known, 0]).max(axis=0)
+    reach = np.maximum(boxes[shown_frames, 1] - centres[shown_frames], centres[shown_frames] - boxes[shown_frames, 0]).max(axis=0)
     return centres, np.minimum(2 * (reach + MARGIN * 2 * reach.max()), image)
 
 

@@ -75,7 +75,7 @@ def _content(archive: zipfile.ZipFile, name: str) -> bytes:
         return file.read(archive.getinfo(name).file_size)
 
 
-def _parsed(where: str, content: bytes, kind: str, remedy: str) -> NDArray[np.generic]:
+def _parsed(subject: str, content: bytes, kind: str, remedy: str) -> NDArray[np.generic]:
     # The length of the rest of the header follows eight bytes of magic string and version; it has two bytes in version 1, and four in later ones.
     begin = 10 if content[6:7] == b"\x01" else 12
     start = begin + int.from_bytes(content[8:begin], "little")
@@ -85,7 +85,7 @@ def _parsed(where: str, content: bytes, kind: str, remedy: str) -> NDArray[np.ge
     count = math.prod(shape)
     values = len(content) - start
     if dtype.hasobject or not dtype.itemsize or count * dtype.itemsize != values:
-        raise input_error(where, f"{values} bytes of {dtype} for shape {shape}", kind, remedy)
+        raise input_error(subject, f"{values} bytes of {dtype} for shape {shape}", kind, remedy)
     return np.frombuffer(content, dtype, count, start).reshape(shape, order="F" if fortran else "C")
 
 

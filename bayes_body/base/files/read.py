@@ -143,12 +143,12 @@ def read_text(path: Path, kind: str, largest: int = LARGEST_BYTES) -> str:
         ) from None
 
 
-def parse_json(text: str, where: object, kind: str, remedy: str = "restore the file") -> Any:
+def parse_json(text: str, subject: object, kind: str, remedy: str = "restore the file") -> Any:
     """The value of a JSON text.
 
     Args:
         text: the file's content.
-        where: the file's name in the sentence.
+        subject: the file's name in the sentence.
         kind: what it should be.
         remedy: what the user can do.
 
@@ -158,8 +158,8 @@ def parse_json(text: str, where: object, kind: str, remedy: str = "restore the f
     try:
         return json.loads(text)
     except RecursionError:
-        raise input_error(where, "not JSON that can be read (nested too deep)", kind, remedy) from None
+        raise input_error(subject, "not JSON that can be read (nested too deep)", kind, remedy) from None
     except json.JSONDecodeError as error:
-        raise input_error(where, f"not JSON ({error})", kind, remedy) from None
+        raise input_error(subject, f"not JSON ({error})", kind, remedy) from None
     except ValueError as error:
-        raise input_error(where, f"not JSON with valid numbers ({error})", kind, remedy) from None
+        raise input_error(subject, f"not JSON with valid numbers ({error})", kind, remedy) from None

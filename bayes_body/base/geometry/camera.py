@@ -85,7 +85,7 @@ def to_camera(camera: Camera, vector: Float[Array, "*batch 3"]) -> Float[Array, 
 
 def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[Array]:
     """Project points given by their components in the camera's frame (metres, any equal shapes)."""
-    x, y, before = _divided(X, Y, Z)
+    x, y, in_front = _divided(X, Y, Z)
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -94,21 +94,21 @@ def project_components(camera: Camera, X: Array, Y: Array, Z: Array) -> Pixels[A
     yd = y * radial + p2 * xy2 + p1 * (r2 + 2 * y * y)
     u = camera.focal[0] * (xd + camera.skew * yd) + camera.centre[0]
     v = camera.focal[1] * yd + camera.centre[1]
-    return Pixels(u, v, before & (r2 < camera.radius_max**2))
+    return Pixels(u, v, in_front & (r2 < camera.radius_max**2))
 
 
 def in_view(camera: Camera, X: Array, Y: Array, Z: Array) -> Bool[Array, "..."]:
     """Only `Pixels.visible`: whether points are visible, from their components in the camera's frame (metres, any equal shapes)."""
-    x, y, before = _divided(X, Y, Z)
-    return before & (x * x + y * y < camera.radius_max**2)
+    x, y, in_front = _divided(X, Y, Z)
+    return in_front & (x * x + y * y < camera.radius_max**2)
 
 
 def _divided(X: Array, Y: Array, Z: Array) -> tuple[Array, Array, Array]:
     """X / Z and Y / Z, and whether a point is in front of the camera."""
-    before = Z > NEAR
+    in_front = Z > NEAR
     # `where` before the division: a point behind the camera must not get an infinite gradient.
-    inverse = 1 / jnp.where(before, Z, 1.0)
-    return X * inverse, Y * inverse, before
+    inverse = 1 / jnp.where(in_front, Z, 1.0)
+    return X * inverse, Y * inverse, in_front
 
 
 def project(camera: Camera, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:

@@ -61,8 +61,8 @@ def rotate(q_a_b: Quaternion, v_b: Vector) -> Vector:
     """Rotate the vectors `v_b` from frame b to frame a."""
     xp = namespace(q_a_b, v_b)
     axis = q_a_b[..., 1:]
-    across = 2 * _cross(xp, axis, v_b)
-    return v_b + q_a_b[..., :1] * across + _cross(xp, axis, across)
+    normal = 2 * _cross(xp, axis, v_b)
+    return v_b + q_a_b[..., :1] * normal + _cross(xp, axis, normal)
 
 
 def exponential(w: Vector) -> Quaternion:

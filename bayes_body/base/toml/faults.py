@@ -56,13 +56,13 @@ class _Fault(NamedTuple):
     error: ErrorDetails
 
 
-def sentences(schema: type[BaseModel], data: Mapping[str, Any], where: str, errors: Sequence[ErrorDetails]) -> list[str]:
+def sentences(schema: type[BaseModel], data: Mapping[str, Any], file: str, errors: Sequence[ErrorDetails]) -> list[str]:
     """Return one sentence for each fault, as a user would count them.
 
     Args:
         schema: the model that the data were validated with.
         data: the tables as read.
-        where: the name of the file in the sentences.
+        file: the name of the file in the sentences.
         errors: the result of `ValidationError.errors()`.
     """
     faults: dict[tuple[str | int, ...], list[_Fault]] = {}
@@ -73,8 +73,8 @@ def sentences(schema: type[BaseModel], data: Mapping[str, Any], where: str, erro
         # Pydantic reports a separate error for each missing entry of a tuple, and for each member of a union. To the user it is one error.
         path = fault.path[:-1] if _is_short_tuple(fault) else fault.path
         faults.setdefault(path, []).append(fault)
-    lines = list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(where, data, path, group)))
-    return [*lines, f"{where}: further faults, {len(errors)} in all; correct these first."] if len(errors) > MOST_FAULTS else lines
+    lines = list(dict.fromkeys(sentence for path, group in faults.items() for sentence in _describe(file, data, path, group)))
+    return [*lines, f"{file}: further faults, {len(errors)} in all; correct these first."] if len(errors) > MOST_FAULTS else lines
 
 
 def _is_echo(error: ErrorDetails) -> bool:
@@ -86,9 +86,9 @@ def _is_short_tuple(fault: _Fault) -> bool:
     return fault.error["type"] == "missing" and isinstance(fault.path[-1], int)
 
 
-def _describe(where: str, data: Mapping[str, Any], path: tuple[str | int, ...], group: list[_Fault]) -> Iterator[str]:
+def _describe(file: str, data: Mapping[str, Any], path: tuple[str | int, ...], group: list[_Fault]) -> Iterator[str]:
     name = _name(data, path)
-    subject = f"{where}: {name}" if name else where
+    subject = f"{file}: {name}" if name else file
     fault, error = group[0], group[0].error
     kind = error["type"]
     if kind in ("value_error", "assertion_error"):
@@ -99,23 +99,23 @@ def _describe(where: str, data: Mapping[str, Any], path: tuple[str | int, ...], 
         yield f"{subject}: unknown key; {nearest(str(path[-1]), _keys(fault.parent))}"
     elif _is_short_tuple(fault):
         value, wanted = _value(data, path), len(get_args(fault.parent))
-        yield str(input_error(where, f"{name} = {shown(value)}", f"{wanted} entries, not {len(value)}", PLAIN_WORDS["too_short"][1]))
+        yield str(input_error(file, f"{name} = {shown(value)}", f"{wanted} entries, not {len(value)}", PLAIN_WORDS["too_short"][1]))
     elif kind == "missing":
         yield str(input_error(subject, "missing", _kind_of(fault.annotation), "add it" + (f" to {_name(data, path[:-1])}" if path[:-1] else "")))
     elif kind == "literal_error" and isinstance(error["input"], str) and len(group) == 1:
-        known = [str(value) for value in get_args(_plain(fault.annotation))]
-        yield f"{where}: {name} = {shown(error['input'])}: no such choice; {nearest(error['input'], known)}"
+        choices = [str(value) for value in get_args(_plain(fault.annotation))]
+        yield f"{file}: {name} = {shown(error['input'])}: no such choice; {nearest(error['input'], choices)}"
     elif kind == "union_tag_invalid":
         context = error.get("ctx", {})
-        tag, known = context["tag"], context["expected_tags"].replace("'", "").split(", ")
-        yield f"{subject}.{_discriminator(error)} = {shown(tag)}: no such choice; {nearest(tag, known)}"
+        tag, choices = context["tag"], context["expected_tags"].replace("'", "").split(", ")
+        yield f"{subject}.{_discriminator(error)} = {shown(tag)}: no such choice; {nearest(tag, choices)}"
     elif kind == "union_tag_not_found":
         yield str(input_error(f"{subject}.{_discriminator(error)}", "missing", "the name of a kind", "add it"))
     elif kind in ("tuple_type", "list_type") and isinstance(error["input"], Mapping):
         yield str(input_error(subject, "one table", "a list of tables", f"write its header with two brackets on each side, [[{name}]]"))
     else:
         expected = " or ".join(dict.fromkeys(_expectation(alternative.error) for alternative in group))
-        yield str(input_error(where, f"{name} = {shown(error['input'])}", expected, PLAIN_WORDS.get(kind, ("", "correct the value"))[1]))
+        yield str(input_error(file, f"{name} = {shown(error['input'])}", expected, PLAIN_WORDS.get(kind, ("", "correct the value"))[1]))
 
 
 def _expectation(error: ErrorDetails) -> str:
@@ -207,8 +207,8 @@ def _member(union: Any, label: str | int) -> Any:
         # The label is the model's name, or in a discriminated union the value of the field that tells the members apart.
         if model.__name__ == label or any(label in get_args(_plain(field.annotation)) for field in model.model_fields.values()):
             return model
-    others = [member for member in members if member not in models and str(getattr(member, "__name__", member)) in str(label)]
-    return others[0] if others else Any
+    other_members = [member for member in members if member not in models and str(getattr(member, "__name__", member)) in str(label)]
+    return other_members[0] if other_members else Any
 
 
 def _inside(annotation: Any, step: str | int) -> Any:

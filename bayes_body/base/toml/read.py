@@ -30,29 +30,29 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(read_text(path, "a TOML file", LARGEST_BYTES), path)
 
 
-def parse_toml(text: str, where: object) -> dict[str, Any]:
+def parse_toml(text: str, file: object) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
     Args:
         text: the file's content.
-        where: the name of the file in the sentence.
+        file: the name of the file in the sentence.
 
     Raises:
         InputError: the text is not TOML (line and column are given).
     """
     if key := LONG_KEY.search(text):
-        place = f"{where}: line {text.count(chr(10), 0, key.start()) + 1}"
+        place = f"{file}: line {text.count(chr(10), 0, key.start()) + 1}"
         raise input_error(place, f"a key of {MOST_PARTS} parts or more", "TOML, such as key = value or [table]", "restore the file")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise _syntax_error(where, text, str(error)) from None
+        raise _syntax_error(file, text, str(error)) from None
     except (ValueError, RecursionError) as error:
         # An integer with thousands of digits, or deeply nested lists.
-        raise input_error(where, f"cannot be read ({error})", "TOML, such as key = value or [table]", "restore the file") from None
+        raise input_error(file, f"cannot be read ({error})", "TOML, such as key = value or [table]", "restore the file") from None
 
 
-def _syntax_error(where: object, text: str, message: str) -> InputError:
+def _syntax_error(file: object, text: str, message: str) -> InputError:
     lines = text.split("\n")
     place = re.search(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     reason = message[: place.start()] if place else message
@@ -63,9 +63,9 @@ def _syntax_error(where: object, text: str, message: str) -> InputError:
     line_text = shown(lines[line - 1].strip()).strip('"')
     twice = _given_twice(reason, lines[line - 1])
     if twice:
-        return input_error(f"{where}: line {line}", *twice)
+        return input_error(f"{file}: line {line}", *twice)
     problem = f"{reason[:1].lower()}{reason[1:]} in the line `{line_text}`"
-    return input_error(f"{where}: line {line}, column {column}", problem, "TOML, such as key = value or [table]", "correct that line")
+    return input_error(f"{file}: line {line}, column {column}", problem, "TOML, such as key = value or [table]", "correct that line")
 
 
 def _given_twice(reason: str, line: str) -> tuple[str, str, str] | None:
@@ -81,13 +81,13 @@ def _given_twice(reason: str, line: str) -> tuple[str, str, str] | None:
     return f"key '{key}' is given twice", "each key once in its table", "remove one of the two"
 
 
-def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], where: str) -> Schema:
+def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], file: str) -> Schema:
     """Return the data as an instance of `schema`.
 
     Args:
         schema: a pydantic model.
         data: tables from `read_toml`.
-        where: the name of the file in the sentences.
+        file: the name of the file in the sentences.
 
     Raises:
         FaultyFileError: one sentence for each fault, in the order of the schema.
@@ -95,5 +95,5 @@ def validate[Schema: BaseModel](schema: type[Schema], data: Mapping[str, Any], w
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        faults = sentences(schema, data, where, error.errors(include_url=False))
+        faults = sentences(schema, data, file, error.errors(include_url=False))
     raise FaultyFileError(faults)

@@ -117,10 +117,10 @@ def gait_of(paths: Float[np.ndarray, "draw frame 4 3"], fps: float, up: int) -> 
     events, strides = [], []
     for side in FEET:
         hip, ankle = (smooth[:, :, POINTS.index(f"{side}_{joint}")] for joint in ("hip", "ankle"))
-        ahead = _ahead(smooth, ankle, fps, up)
+        ankle_lead = _measure_ankle_lead(smooth, ankle, fps, up)
         least_swing = PROMINENCE * float(np.percentile(np.linalg.norm(hip[-1] - ankle[-1], axis=-1), 95))
         strikes, lifts = (
-            [time - walk - error.events * rng.normal(size=len(paths)) for time in _times(sign * ahead, fps, least_swing)]
+            [time - walk - error.events * rng.normal(size=len(paths)) for time in _times(sign * ankle_lead, fps, least_swing)]
             for sign, walk, error in zip((1, -1), walks, (CONTACT, LIFT), strict=True)
         )
         events += [Event("foot strike", side, times) for times in strikes] + [Event("toe off", side, times) for times in lifts]
@@ -140,9 +140,9 @@ def speed(gait: Gait) -> Float[np.ndarray, " draw"]:
 
 def known_mean(values: Sequence[Float[np.ndarray, " draw"]]) -> Float[np.ndarray, " draw"]:
     """Return the mean over several quantities in each draw, of those that the draw has; NaN if it has none."""
-    known = np.isfinite(values)
+    is_finite = np.isfinite(values)
     with np.errstate(invalid="ignore"):
-        return np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
+        return np.where(is_finite, values, 0.0).sum(axis=0) / is_finite.sum(axis=0)
 
 
 def _when(event: Event) -> float:
@@ -155,12 +155,12 @@ def low_pass(paths: Float[np.ndarray, "draw frame *of"], fps: float) -> Float[np
     return sosfiltfilt(sections, paths, axis=1, padlen=min(int(fps), paths.shape[1] - 1))
 
 
-def _ahead(
+def _measure_ankle_lead(
     smooth: Float[np.ndarray, "draw frame 4 3"], ankle: Float[np.ndarray, "draw frame 3"], fps: float, up: int
 ) -> Float[np.ndarray, "draw frame"]:
     """Return how far the ankle is ahead of the pelvis, metres, along the direction that the pelvis faces on average over a stride."""
-    left = uniform_filter1d(smooth[:, :, 0] - smooth[:, :, 1], max(int(FACING_S * fps), 1), axis=1, mode="nearest")
-    forward = np.cross(left, np.eye(3)[up])
+    hip_axis = uniform_filter1d(smooth[:, :, 0] - smooth[:, :, 1], max(int(FACING_S * fps), 1), axis=1, mode="nearest")
+    forward = np.cross(hip_axis, np.eye(3)[up])
     forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
     return np.einsum("sfa,sfa->sf", ankle - smooth[:, :, :2].mean(axis=2), forward)
 
@@ -182,9 +182,9 @@ def _times(values: Float[np.ndarray, "row frame"], fps: float, least: float) -> 
 def _maxima(row: Float[np.ndarray, " frame"], fps: float, least: float) -> Float[np.ndarray, " event"]:
     """Return the times of the maxima, s, between frames by a parabola."""
     peaks = find_peaks(row, distance=max(int(SHORTEST_S * fps), 1), prominence=least)[0]
-    before, height, after = row[peaks - 1], row[peaks], row[peaks + 1]
-    bend = before - 2 * height + after
-    return (peaks + np.where(bend < 0, (before - after) / np.where(bend < 0, 2 * bend, 1), 0.0)) / fps
+    left_height, height, right_height = row[peaks - 1], row[peaks], row[peaks + 1]
+    bend = left_height - 2 * height + right_height
+    return (peaks + np.where(bend < 0, (left_height - right_height) / np.where(bend < 0, 2 * bend, 1), 0.0)) / fps
 
 
 def _strides(
@@ -207,8 +207,8 @@ def _strides(
 
 def _interpolate(floor: Float[np.ndarray, "draw frame 2"], frames: Float[np.ndarray, " draw"]) -> Float[np.ndarray, "draw 2"]:
     """Return the positions at times between frames; NaN where the time is."""
-    known: Bool[np.ndarray, " draw"] = np.isfinite(frames)
-    before = np.clip(np.floor(np.where(known, frames, 0)).astype(int), 0, floor.shape[1] - 2)
-    share = (np.where(known, frames, np.nan) - before)[:, None]
+    is_finite: Bool[np.ndarray, " draw"] = np.isfinite(frames)
+    lower = np.clip(np.floor(np.where(is_finite, frames, 0)).astype(int), 0, floor.shape[1] - 2)
+    share = (np.where(is_finite, frames, np.nan) - lower)[:, None]
     draws = np.arange(len(floor))
-    return (1 - share) * floor[draws, before] + share * floor[draws, before + 1]
+    return (1 - share) * floor[draws, lower] + share * floor[draws, lower + 1]

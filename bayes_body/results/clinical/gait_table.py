@@ -109,9 +109,9 @@ def _strides_of(gait: Gait, side: str) -> Iterator[Row]:
 
 
 def _row(quantity: str, side: str, number: int, unit: str, draws: Float[np.ndarray, " draw"]) -> Row:
-    known = draws[np.isfinite(draws)]
-    share = known.size / draws.size
-    if not known.size:
+    finite_draws = draws[np.isfinite(draws)]
+    share = finite_draws.size / draws.size
+    if not finite_draws.size:
         return Row(quantity, side, number, unit, math.nan, math.nan, math.nan, math.nan, share)
-    low, high = np.quantile(known, (0.05, 0.95))
-    return Row(quantity, side, number, unit, float(known.mean()), float(known.std()), float(low), float(high), share)
+    low, high = np.quantile(finite_draws, (0.05, 0.95))
+    return Row(quantity, side, number, unit, float(finite_draws.mean()), float(finite_draws.std()), float(low), float(high), share)

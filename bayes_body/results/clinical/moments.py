@@ -75,12 +75,12 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     origin = moments_of(run, frames, block, 3 * len(body.skeleton.topology.joint_names), places)
     _, names, moments = _angles(run, OPENSIM, frames, block)
     # OpenSim's order: the rotations of the pelvis, its position, then the joints.
-    known = [place for place, name in enumerate(names) if name]
+    named_columns = [place for place, name in enumerate(names) if name]
     first = sum(name.startswith("pelvis_") for name in names)
     columns = MomentsAndMedian(
-        *(np.insert(turned[:, known], [first] * 3, position, axis=1) for position, turned in zip(origin, moments, strict=True))
+        *(np.insert(turned[:, named_columns], [first] * 3, position, axis=1) for position, turned in zip(origin, moments, strict=True))
     )
-    coordinates = [names[place] for place in known]
+    coordinates = [names[place] for place in named_columns]
     return Curves((*coordinates[:first], "pelvis_tx", "pelvis_ty", "pelvis_tz", *coordinates[first:]), columns)
 
 
@@ -101,10 +101,10 @@ def _angles(
         return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights, moments_and_median)
 
     moments = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
-    return names, coordinates, _near(MomentsAndMedian(*map(np.degrees, moments)), [name in UNBOUNDED for name in names])
+    return names, coordinates, _wrap_near_zero(MomentsAndMedian(*map(np.degrees, moments)), [name in UNBOUNDED for name in names])
 
 
-def _near(moments: MomentsAndMedian, unbounded: Sequence[bool]) -> MomentsAndMedian:
+def _wrap_near_zero(moments: MomentsAndMedian, unbounded: Sequence[bool]) -> MomentsAndMedian:
     """Return the moments with each mean on the turn nearest to zero, or for an unbounded angle nearest to the frame before."""
     nearest = moments.mean - TURN * np.round(moments.mean / TURN)
     mean = np.where(unbounded, np.unwrap(nearest, period=TURN, axis=0), nearest)

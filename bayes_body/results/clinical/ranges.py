@@ -64,9 +64,9 @@ def _within(
 ) -> tuple[Float[np.ndarray, "draw column"], Float[np.ndarray, "draw column"]]:
     """Return the largest and the smallest values of each draw between the two strikes of its stride."""
     begin, duration = fps * stride.start[paths.draws], fps * stride.duration[paths.draws]
-    known = np.isfinite(begin + duration)
+    is_finite = np.isfinite(begin + duration)
     largest, smallest = np.full((2, len(begin), len(columns)), np.nan)
-    for draw in np.flatnonzero(known):
+    for draw in np.flatnonzero(is_finite):
         first = max(int(np.ceil(begin[draw])), 0)
         values = paths.degrees[draw, first : int(begin[draw] + duration[draw]) + 1, columns]
         if values.size:

@@ -113,10 +113,10 @@ def _evenly(count: int, most: int) -> Int[np.ndarray, " chosen"]:
 
 def _aligned(degrees: Float[np.ndarray, "draw frame angle"]) -> Float[np.ndarray, "draw frame angle"]:
     """Return the angles without jumps of whole turns: from frame to frame, and between draws. The first draw's mean is within half a turn of 0."""
-    whole = np.unwrap(degrees, period=TURN, axis=1)
-    means = whole.mean(axis=1, keepdims=True)
+    unwrapped = np.unwrap(degrees, period=TURN, axis=1)
+    means = unwrapped.mean(axis=1, keepdims=True)
     reference = means[:1] - TURN * np.round(means[:1] / TURN)
-    return whole - TURN * np.round((means - reference) / TURN)
+    return unwrapped - TURN * np.round((means - reference) / TURN)
 
 
 def _determined(joint: Joint, degrees: Float[np.ndarray, "draw frame free"]) -> list[int]:

@@ -63,18 +63,18 @@ def frame_accuracy(
         truth: true positions of the same markers, metres; a marker is unknown if any of its numbers is NaN.
         names: names of the markers.
     """
-    known = np.isfinite(truth).all(axis=-1)
+    is_measured = np.isfinite(truth).all(axis=-1)
     off, inside = np.full(truth.shape, np.nan), np.zeros((len(LEVELS), *truth.shape), bool)
-    if not known.any():
+    if not is_measured.any():
         return FrameAccuracy(off, float("nan"), float("nan"), inside, np.full(len(SHARES), np.nan))
-    cloud, true = (positions if known.all() else positions[:, known]), truth[known]
+    cloud, true = (positions if is_measured.all() else positions[:, is_measured]), truth[is_measured]
     mean = (weights @ cloud.reshape(len(cloud), -1)).reshape(-1, 3)
-    off[known] = true - mean
-    inside[:, known] = inside_intervals(cloud, weights, true)
+    off[is_measured] = true - mean
+    inside[:, is_measured] = inside_intervals(cloud, weights, true)
     optimistic = _distances(cloud, true).mean(axis=1)[weights > 0].min()
     spread = _distances(cloud, mean).mean(axis=1)
     expected = weighted_quantiles(spread[None, :, None], weights[None], SHARES).ravel()
-    relative = _relative(off[known], tuple(name for name, is_known in zip(names, known, strict=True) if is_known))
+    relative = _relative(off[is_measured], tuple(name for name, is_known in zip(names, is_measured, strict=True) if is_known))
     return FrameAccuracy(off, relative, float(optimistic), inside, expected)
 
 

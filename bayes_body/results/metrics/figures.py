@@ -34,7 +34,7 @@ def accuracy_figures(comparison: AgainstTruth | None, mode_seeker: bool) -> dict
     plain, fitted = comparison.plain, comparison.fitted
     return {
         "error_mm_mean": _mm(plain.frame_error),
-        "error_mm_std": _known(1000 * sd_over_frames(plain.frame_error)),
+        "error_mm_std": _number_or_none(1000 * sd_over_frames(plain.frame_error)),
         "error_mm_optimistic": _mm(plain.optimistic),
         "error_mm_relative": _mm(plain.relative),
         "error_mm_by_marker": {name: _mm(plain.error[..., place]) for place, name in enumerate(plain.names)},
@@ -47,13 +47,13 @@ def accuracy_figures(comparison: AgainstTruth | None, mode_seeker: bool) -> dict
 
 def sd_over_frames(frame_error: Float[np.ndarray, "frame run"]) -> float:
     """Return the standard deviation of a run's error over the frames, mean over the runs, metres; NaN if fewer than two frames have a known truth."""
-    known = frame_error[np.isfinite(frame_error).all(axis=1)]
-    return float(known.std(axis=0, ddof=1).mean()) if len(known) > 1 else float("nan")
+    finite_errors = frame_error[np.isfinite(frame_error).all(axis=1)]
+    return float(finite_errors.std(axis=0, ddof=1).mean()) if len(finite_errors) > 1 else float("nan")
 
 
 def coverage_at(coverage: Float[np.ndarray, " level"], level: float) -> float | None:
     """Return the coverage of one of LEVELS; None if no truth is known."""
-    return _known(coverage[LEVELS.index(level)])
+    return _number_or_none(coverage[LEVELS.index(level)])
 
 
 def width(coverage_90: float) -> str:
@@ -63,8 +63,8 @@ def width(coverage_90: float) -> str:
 
 
 def _mm(metres: Float[np.ndarray, "..."]) -> float | None:
-    return _known(1000 * mean_known(metres.ravel(), 0))
+    return _number_or_none(1000 * mean_known(metres.ravel(), 0))
 
 
-def _known(value: float | np.floating | NDArray[np.floating]) -> float | None:
+def _number_or_none(value: float | np.floating | NDArray[np.floating]) -> float | None:
     return float(value) if np.isfinite(value) else None

@@ -219,8 +219,8 @@ def _distances(
             points = np.array(list(places.values()))
             chosen = list(places)
             size_px = max(float(np.ptp(points, axis=0).max()), 1.0)
-            far = np.linalg.norm(places_px[:, c, chosen] - points, axis=-1) / size_px
-            relative[:, c] = np.median(np.where(visible[:, c, chosen], np.minimum(far, FARTHEST), FARTHEST), axis=-1)
+            distances = np.linalg.norm(places_px[:, c, chosen] - points, axis=-1) / size_px
+            relative[:, c] = np.median(np.where(visible[:, c, chosen], np.minimum(distances, FARTHEST), FARTHEST), axis=-1)
             pixels[:, c] = size_px * relative[:, c]
     return relative, pixels
 

@@ -126,10 +126,10 @@ def _first(session: Session, model: Model) -> Fit:
 def _first_figures(first: Verdict, by_keypoints: bool) -> dict[str, Any]:
     value = float((first.distance if by_keypoints else first.cover)[0])
     overlap = float(first.overlap[0])
-    known = bool(np.isfinite(value))
+    is_judged = bool(np.isfinite(value))
     return {
-        "fit_by": ("keypoints" if by_keypoints else "silhouettes") if known else None,
-        "fit_first": value if known else None,
+        "fit_by": ("keypoints" if by_keypoints else "silhouettes") if is_judged else None,
+        "fit_first": value if is_judged else None,
         "overlap_first": overlap if np.isfinite(overlap) and not by_keypoints else None,
     }
 
@@ -144,8 +144,8 @@ def fit_figures(first: Fit, frames: Sequence[Fit], first_frame: int = 0) -> dict
     """
     verdicts = [judge(fit) for fit in frames]
     by_keypoints = any(np.isfinite(verdict.distance).any() for verdict in verdicts)
-    far = np.stack([verdict.distance if by_keypoints else -verdict.cover for verdict in verdicts])
-    worst, frame = _worst(far)
+    misfits = np.stack([verdict.distance if by_keypoints else -verdict.cover for verdict in verdicts])
+    worst, frame = _worst(misfits)
     least, least_frame = _worst(np.stack([-verdict.overlap for verdict in verdicts])) if not by_keypoints else (None, None)
     return _first_figures(judge(first), by_keypoints) | {
         "fit_by": ("keypoints" if by_keypoints else "silhouettes") if worst is not None else None,

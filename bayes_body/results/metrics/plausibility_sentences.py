@@ -44,7 +44,7 @@ def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
         figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives fewer warnings.
     """
     wordings = _WORDINGS.get(figures.get("fit_by") or "", ())
-    sentences = [_first(wordings, figures), _later(wordings, figures), _outside(figures), _blind(figures)]
+    sentences = [_first(wordings, figures), _describe_lost_frames(wordings, figures), _outside(figures), _blind(figures)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -63,7 +63,7 @@ def _first(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | 
     return f"frame {figures.get('first_frame', 0)}: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."
 
 
-def _later(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | None:
+def _describe_lost_frames(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | None:
     off, crossed = figures.get("frames_off") or [], _crossed(wordings, figures, "worst")
     if not off or crossed is None:
         return None
@@ -71,16 +71,20 @@ def _later(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | 
     start = figures.get("first_frame", 0)
     to_the_end = off[-1] == start + figures.get("frames", 0) - 1 and off == list(range(off[0], off[-1] + 1))
     if off[0] == start and to_the_end:
-        where = "from the first frame to the last the body does not cover the person"
+        extent = "from the first frame to the last the body does not cover the person"
     elif to_the_end:
-        where = f"from frame {off[0]} the body no longer covers the person"
+        extent = f"from frame {off[0]} the body no longer covers the person"
     else:
-        where = f"{frame_ranges(off)}: the body does not cover the person"
+        extent = f"{frame_ranges(off)}: the body does not cover the person"
     at_worst = f"at worst, at frame {figures[f'{wording.key}_worst_frame']}, {wording.figure(worst)}"
-    again = figures.get("frames_restarted") or []
-    restarted = f"; it was restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}, where the person was found again" if again else ""
+    restarts = figures.get("frames_restarted") or []
+    restarted = (
+        f"; it was restarted at frame{'s' * (len(restarts) > 1)} {', '.join(map(str, restarts))}, where the person was found again"
+        if restarts
+        else ""
+    )
     remedy = "the poses there do not follow the person: look at the overlay, and raise --particles or correct the first pose"
-    return f"{where}{restarted}: {at_worst}; {remedy}."
+    return f"{extent}{restarted}: {at_worst}; {remedy}."
 
 
 def _outside(figures: Mapping[str, Any]) -> str | None:
@@ -95,6 +99,6 @@ def _blind(figures: Mapping[str, Any]) -> str | None:
     if not blind:
         return None
     least, most = (f"{100 * share:g}" for share in SILHOUETTE)
-    what = f"no camera's silhouette can be a person's: each covers less than {least} % or more than {most} % of its image"
+    problem = f"no camera's silhouette can be a person's: each covers less than {least} % or more than {most} % of its image"
     remedy = "nothing there tells whether the body is on the person: look at the overlay, and correct masks or background"
-    return f"{frame_ranges(blind)}: {what}; {remedy}."
+    return f"{frame_ranges(blind)}: {problem}; {remedy}."

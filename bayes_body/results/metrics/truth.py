@@ -151,8 +151,8 @@ def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 
     plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds))
     fitted = None
     if np.isfinite(true).all(axis=-1).any(axis=-1).sum() >= FEWEST:
-        others = np.stack([mean_known(plain.residual[folds != fold], 0) for fold in range(2)])
-        fitted = _accuracy(model, common, clouds, true, others, folds)
+        offsets = np.stack([mean_known(plain.residual[folds != fold], 0) for fold in range(2)])
+        fitted = _accuracy(model, common, clouds, true, offsets, folds)
     return AgainstTruth(plain, fitted, mean_known(plain.residual, 0))
 
 
@@ -172,8 +172,8 @@ def _accuracy(
     """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
     by_frame, inside = [], np.zeros((), int)
     moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
-    known = np.where(np.isfinite(offsets[folds]), truth, np.nan)
-    for cloud, true, fold in zip(clouds(), known, folds, strict=True):
+    fold_truth = np.where(np.isfinite(offsets[folds]), truth, np.nan)
+    for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
         runs = [_of_run(moved[fold], *particles, true) for particles in zip(*cloud, strict=True)]
         inside = inside + np.sum([accuracy.inside for accuracy, _ in runs], axis=(0, -1))
         by_frame.append(_stacked(runs))
@@ -221,10 +221,10 @@ def no_truth(session: Session) -> InputError:
 
 def mean_known(values: NDArray[np.floating], axis: int | tuple[int, ...]) -> NDArray[np.floating]:
     """Return the mean of the values that are not NaN; NaN if there are none."""
-    known = np.isfinite(values)
-    return shares(np.where(known, values, 0).sum(axis=axis), known.sum(axis=axis))
+    is_finite = np.isfinite(values)
+    return shares(np.where(is_finite, values, 0).sum(axis=axis), is_finite.sum(axis=axis))
 
 
-def shares(part: NDArray[np.number], whole: NDArray[np.integer]) -> NDArray[np.floating]:
-    """Return `part / whole`; NaN where the whole is 0."""
-    return np.divide(part, whole, out=np.full(np.shape(part), np.nan), where=whole > 0)
+def shares(part: NDArray[np.number], totals: NDArray[np.integer]) -> NDArray[np.floating]:
+    """Return `part / totals`; NaN where the total is 0."""
+    return np.divide(part, totals, out=np.full(np.shape(part), np.nan), where=totals > 0)

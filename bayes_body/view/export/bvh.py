@@ -105,10 +105,10 @@ def _depth_first(body: Body) -> list[int]:
     roots = [j for j, parent in enumerate(parents) if parent < 0]
     if len(roots) != 1:
         raise input_error("--to bvh", f"the body '{body.name}' has {len(roots)} roots", "exactly one root", "use npz, csv, c3d or trc")
-    order, ahead = [], roots
-    while ahead:
-        order.append(ahead.pop())
-        ahead += [j for j in range(len(parents) - 1, -1, -1) if parents[j] == order[-1]]
+    order, stack = [], roots
+    while stack:
+        order.append(stack.pop())
+        stack += [j for j in range(len(parents) - 1, -1, -1) if parents[j] == order[-1]]
     return order
 
 
@@ -136,8 +136,8 @@ def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) 
     for row, j in enumerate(order):
         if j not in body.skeleton.topology.parents:
             joint_offsets = offsets[joints == j]
-            far = max(joint_offsets, key=np.linalg.norm, default=np.zeros(3))
-            ends[row] = R_rest[row] @ (far if np.linalg.norm(far) > 0 else np.array([0.0, 0.0, STUB_M]))
+            farthest = max(joint_offsets, key=np.linalg.norm, default=np.zeros(3))
+            ends[row] = R_rest[row] @ (farthest if np.linalg.norm(farthest) > 0 else np.array([0.0, 0.0, STUB_M]))
     return ends
 
 

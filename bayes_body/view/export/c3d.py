@@ -72,10 +72,10 @@ def _add_piece(c3d: Any, events: Sequence[Event], ending: str) -> None:
 
 
 def _certainty(event: Event) -> str:
-    known = event.times[np.isfinite(event.times)]
-    low, high = np.quantile(known, (0.05, 0.95))
+    times = event.times[np.isfinite(event.times)]
+    low, high = np.quantile(times, (0.05, 0.95))
     share = f", in {event.share:.0%} of the draws" if event.share < 1 else ""
-    return f"sd {1000 * known.std():.0f} ms, 90 % {low:.3f} to {high:.3f} s{share}"
+    return f"sd {1000 * times.std():.0f} ms, 90 % {low:.3f} to {high:.3f} s{share}"
 
 
 def _add_integers(c3d: Any, group: str, name: str, values: list[int]) -> None:

@@ -39,8 +39,8 @@ def check_format(name: str) -> str:
     """
     if name not in WRITERS:
         similar = nearest(name, WRITERS)
-        known = "" if similar.startswith("known") else f" Known: {', '.join(sorted(WRITERS))}."
-        raise InputError(f"--to: format '{name}' does not exist; {similar}{known}")
+        listing = "" if similar.startswith("known") else f" Known: {', '.join(sorted(WRITERS))}."
+        raise InputError(f"--to: format '{name}' does not exist; {similar}{listing}")
     return name
 
 
@@ -113,8 +113,8 @@ def export_formats(
             check_free(file, overwrite)
     for out in outs.values():
         make_folder(out.parent)
-    known = RunMoments(run)
-    motions = {name: read_motion(known, fps, up or USUAL_UP.get(name), ANGLES.get(name, "none"), name in WITH_EVENTS) for name in outs}
+    moments = RunMoments(run)
+    motions = {name: read_motion(moments, fps, up or USUAL_UP.get(name), ANGLES.get(name, "none"), name in WITH_EVENTS) for name in outs}
     for name, motion in motions.items():
         writer = partial(write_c3d, spread=spread) if name == "c3d" else WRITERS[name]
         writer(motion, outs[name])

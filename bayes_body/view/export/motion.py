@@ -158,18 +158,18 @@ def read_motion(
     Raises:
         InputError: a file of the run cannot be used.
     """
-    known = run if isinstance(run, RunMoments) else RunMoments(run)
-    run = known.run
+    run_moments = run if isinstance(run, RunMoments) else RunMoments(run)
+    run = run_moments.run
     order = _order(run.session.up, up or run.session.up)
-    parts = _parts(known, order)
-    names, units, dofs = _dofs(known) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    parts = _parts(run_moments, order)
+    names, units, dofs = _dofs(run_moments) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
     rate = run.fps if fps is None else fps
     return Motion(
         title=run.session.title,
         fps=rate,
         up=up or run.session.up,
         marker_names=run.model.body.markers.names,
-        markers=Moments(*(values[..., list(order)] for values in known.markers)),
+        markers=Moments(*(values[..., list(order)] for values in run_moments.markers)),
         dof_names=names,
         dof_units=units,
         dofs=dofs,
@@ -179,9 +179,9 @@ def read_motion(
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         first_frame=run.first_frame,
         parts=parts,
-        clinical=Curves((), Moments(*np.zeros((4, run.frames, 0)))) if angles == "none" else getattr(known, angles),
+        clinical=Curves((), Moments(*np.zeros((4, run.frames, 0)))) if angles == "none" else getattr(run_moments, angles),
         # Another rate moves the events as it moves the frames.
-        events=tuple(event._replace(times=event.times * (run.fps / rate)) for event in known.events) if events else (),
+        events=tuple(event._replace(times=event.times * (run.fps / rate)) for event in run_moments.events) if events else (),
     )
 
 
@@ -193,24 +193,24 @@ def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
     return lost
 
 
-def _dofs(known: RunMoments) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+def _dofs(run_moments: RunMoments) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
     """Return the names, units and moments of the dofs."""
-    body = known.run.model.body
+    body = run_moments.run.model.body
     angular = np.array(body.skeleton.topology.angular)
     units = tuple("deg" if angle else "m" for angle in angular)
-    return body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in known.variables))
+    return body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in run_moments.variables))
 
 
-def _parts(known: RunMoments, order: tuple[int, int, int]) -> Parts | None:
+def _parts(run_moments: RunMoments, order: tuple[int, int, int]) -> Parts | None:
     """Return the parts of a loose-limbed body, in other axes."""
-    placement = known.run.model.body.placement
+    placement = run_moments.run.model.body.placement
     if not isinstance(placement, ByParts):
         return None
-    coordinates = [values.reshape(known.run.frames, len(placement.names), 6) for values in known.variables]
+    coordinates = [values.reshape(run_moments.run.frames, len(placement.names), 6) for values in run_moments.variables]
     origins = Moments(*(values[..., list(order)] for values in coordinates))
     # Rotation vectors are about the part's own axes, which do not change with those of the world.
     turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
-    return Parts(placement.names, _continued(turned(known.mean_parts, order)), origins, turns)
+    return Parts(placement.names, _continued(turned(run_moments.mean_parts, order)), origins, turns)
 
 
 def turned(parts: Float[np.ndarray, "*batch 7"], order: tuple[int, int, int]) -> Float[np.ndarray, "*batch 7"]:

@@ -51,12 +51,12 @@ def write_curves(run: "SavedRun", path: Path, names: Sequence[str], size_px: int
     Raises:
         InputError: the run has no such curve, or the picture cannot be written.
     """
-    known = curves_of(run)
+    run_curves = curves_of(run)
     if not names:
-        raise input_error("--curves", "no name", f"names among {', '.join(known)}", "name one or more, with commas between them")
+        raise input_error("--curves", "no name", f"names among {', '.join(run_curves)}", "name one or more, with commas between them")
     panels: dict[str, list[str]] = {}
     for name in names:
-        for curve_name in _sides(name, known):
+        for curve_name in _sides(name, run_curves):
             members = panels.setdefault(base(curve_name), [])
             members += [curve_name] if curve_name not in members else []
     with paper_style():
@@ -73,7 +73,7 @@ def write_curves(run: "SavedRun", path: Path, names: Sequence[str], size_px: int
             corner = column * PANEL[0] + LEFT, height - (row + 1) * PANEL[1] + BELOW
             size = PANEL[0] - LEFT - 0.12, PANEL[1] - BELOW - ABOVE
             axes = figure.add_axes((corner[0] / width, corner[1] / height, size[0] / width, size[1] / height))
-            _draw(axes, run, {name: known[name] for name in members})
+            _draw(axes, run, {name: run_curves[name] for name in members})
         figure.text(0.05 / width, 0.05 / height, text, fontsize=SMALL, va="bottom", color=INK, linespacing=1.3)
         save(figure, path, size_px / max(figure.get_size_inches()))
 
@@ -96,15 +96,15 @@ def base(name: str) -> str:
     return name if not side else name.removeprefix(f"{side}_") if name.startswith(f"{side}_") else name.removesuffix(f"_{side}")
 
 
-def _sides(name: str, known: Mapping[str, Curve]) -> list[str]:
+def _sides(name: str, run_curves: Mapping[str, Curve]) -> list[str]:
     """Return the names of the curves that a user's name stands for.
 
     Raises:
         InputError: there is none.
     """
-    matches = [name] if name in known else [candidate for candidate in known if name == base(candidate)]
+    matches = [name] if name in run_curves else [candidate for candidate in run_curves if name == base(candidate)]
     if not matches:
-        raise input_error("--curves", f"no curve '{name}'", f"names among {', '.join(known)}", nearest(name, known))
+        raise input_error("--curves", f"no curve '{name}'", f"names among {', '.join(run_curves)}", nearest(name, run_curves))
     return matches
 
 

@@ -111,7 +111,7 @@ class Scale(NamedTuple):
 
 
 def write_picture(
-    run: "SavedRun", path: Path, number: int | None = None, camera: str | None = None, size_px: int = 2000, draws: int = 40, whole: bool = False
+    run: "SavedRun", path: Path, number: int | None = None, camera: str | None = None, size_px: int = 2000, draws: int = 40, whole_image: bool = False
 ) -> None:
     """Write the posterior of a frame over a camera's image.
 
@@ -122,7 +122,7 @@ def write_picture(
         camera: name of the camera; the first one by default.
         size_px: longer side of a .png, pixels.
         draws: number of draws; a mode seeker has none.
-        whole: whether to show the whole image instead of the person's part of it.
+        whole_image: whether to show the whole image instead of the person's part of it.
 
     Raises:
         InputError: the run has no such frame or camera, a file of the run or its recording cannot be used, or the picture cannot be written.
@@ -139,7 +139,7 @@ def write_picture(
     central, fan = _posterior(run, frame, 0 if run.mode_seeker else draws)
     image, note = run_backdrop(run, frame, c)
     strong, thin = outlines(model, central.pose)[c], [part for pose in fan for part in outlines(model, pose)[c]]
-    crop = _crop(strong, thin, (image.shape[1], image.shape[0]), whole)
+    crop = _crop(strong, thin, (image.shape[1], image.shape[0]), whole_image)
     scale = _scale(run, model, central, frame, c)
     when = f"camera {names[c]}, frame {first + frame} ({frame / run.fps:.2f} s){note.replace(chr(10), ', ')}"
     scale_note = "" if scale is None else f" Scale at the person's distance, {scale.depth_m:.2f} m from the camera."
@@ -158,17 +158,17 @@ def _posterior(run: "SavedRun", frame: int, count: int) -> tuple[CentralPose, Fl
     return central_pose(run.model.body, poses, weights), poses[chosen]
 
 
-def _crop(strong: list[Outline], thin: list[Outline], size_px: tuple[int, int], whole: bool) -> Crop:
+def _crop(strong: list[Outline], thin: list[Outline], size_px: tuple[int, int], whole_image: bool) -> Crop:
     """Return the part of the image that the picture shows; all of it if no part of the body is in it."""
     parts = strong or thin
-    if whole or not parts:
+    if whole_image or not parts:
         return Crop(0, 0, *size_px, 1.0)
-    near = crop_about(np.concatenate([part.polygon for part in parts]), size_px, max(size_px))
-    missing = LEAST_SHAPE * (near.bottom - near.top) - (near.right - near.left)
+    close_crop = crop_about(np.concatenate([part.polygon for part in parts]), size_px, max(size_px))
+    missing = LEAST_SHAPE * (close_crop.bottom - close_crop.top) - (close_crop.right - close_crop.left)
     if missing <= 0:
-        return near
-    left = max(0, min(near.left - round(missing / 2), size_px[0] - round(near.right - near.left + missing)))
-    return near._replace(left=left, right=min(size_px[0], left + round(near.right - near.left + missing)))
+        return close_crop
+    first_column = max(0, min(close_crop.left - round(missing / 2), size_px[0] - round(close_crop.right - close_crop.left + missing)))
+    return close_crop._replace(left=first_column, right=min(size_px[0], first_column + round(close_crop.right - close_crop.left + missing)))
 
 
 def _scale(run: "SavedRun", model: Model, central: CentralPose, frame: int, c: int) -> Scale | None:
@@ -176,9 +176,9 @@ def _scale(run: "SavedRun", model: Model, central: CentralPose, frame: int, c: i
     spec, camera = cameras_at(run.session, frame)[c], jax.tree.map(lambda leaf: leaf[c], model.rig)
     body = model.body
     middle = np.asarray(part_ends(body, jnp.asarray(central.pose[None], body.lengths.dtype)), float)[0].mean(axis=0)
-    across = 0.05 * spec.rotation[0]
+    offset = 0.05 * spec.rotation[0]
     pixels, visible = (
-        np.asarray(out, float) for out in project(camera, jnp.asarray(np.stack([middle - across, middle + across]), body.lengths.dtype))
+        np.asarray(out, float) for out in project(camera, jnp.asarray(np.stack([middle - offset, middle + offset]), body.lengths.dtype))
     )
     if not visible.all():
         return None
@@ -244,13 +244,13 @@ def _legend(run: "SavedRun", central: CentralPose, parts: list[Outline], draws: 
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    what = ("mean of the particles" if run.mode_seeker else "posterior mean") if central.is_mean else "medoid of the draws"
+    meaning = ("mean of the particles" if run.mode_seeker else "posterior mean") if central.is_mean else "medoid of the draws"
     sides = {side_of(part) for part, _ in parts}
     entries: list[Any] = []
     for side, name in NAMES.items():
         if side in sides:
             red, green, blue = (level / 255 for level in OVER_IMAGE[side])
-            label = name if entries else f"{what}: {name}"
+            label = name if entries else f"{meaning}: {name}"
             entries.append(Patch(facecolor=(red, green, blue, 0.35), edgecolor=(red, green, blue), label=label))
     if draws:
         entries.append(Line2D([], [], color=GREY, linewidth=0.8, label=f"{draws} draws"))

@@ -104,8 +104,8 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
         for place in watch(range(len(frames))):
             evidence = recording.frame(frames[place], side)
             has_truth, has_keypoints = has_truth or bool(len(evidence.truth)), has_keypoints or bool(len(evidence.keypoints))
-            which = "" if poses[place].is_mean else ", medoid"
-            scene.show(poses[place], evidence, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{which}")
+            medoid_note = "" if poses[place].is_mean else ", medoid"
+            scene.show(poses[place], evidence, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{medoid_note}")
             if len(frames) > 1:
                 record.insert_sleep(frames.step / fps)
         html = record.as_html()
@@ -143,8 +143,8 @@ def _filled(html: str, run: "SavedRun", text: Markup) -> str:
     template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
     beside = template.substitute(title=joined([title]), text=text)
     for old, new in (("<head>", head), ("<title>Viser</title>", tag("title", title)), ("</body>", f"{beside}</body>")):
-        before, separator, after = html.partition(old) if old != "</body>" else html.rpartition(old)
+        start, separator, end = html.partition(old) if old != "</body>" else html.rpartition(old)
         if not separator:
             raise input_error(UNREADABLE, f"no {old}", "a page of viser 1.1", "install the version of viser that bayes-body asks for")
-        html = f"{before}{new}{after}"
+        html = f"{start}{new}{end}"
     return html

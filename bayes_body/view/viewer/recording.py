@@ -106,10 +106,10 @@ def read_recording(run: "SavedRun") -> Recording:
         "images": [view for view, shown in zip(session.views, pictured, strict=True) if not shown],
         "keypoints": [view for view in session.views if f"keypoints of {view.camera.name}" in changed],
     }
-    for what, views in hidden.items():
+    for kind, views in hidden.items():
         if views:
             names = ", ".join(view.camera.name for view in views)
-            missing.append(f"The {what} of {names} are not shown: their files are not those from which the run was made.")
+            missing.append(f"The {kind} of {names} are not shown: their files are not those from which the run was made.")
     if "truth" in changed:
         missing.append("The true markers are not shown: their file is not the one from which the run was made.")
     return Recording(session, pictured, series, np.zeros((0, 15, 3)) if truth is None else truth, missing)

@@ -84,9 +84,9 @@ class Scene:
         self.radii: dict[str, np.ndarray] = {}
         scene.set_up_direction(np.eye(3)[self.up])
         # The time stands on the floor before the person.
-        ahead = (look.eye - look.middle) * (np.arange(3) != self.up)
-        self.before = look.middle + FRONT * ahead / np.linalg.norm(ahead)
-        self.before[self.up] = 0.0
+        forward = (look.eye - look.middle) * (np.arange(3) != self.up)
+        self.time_place = look.middle + FRONT * forward / np.linalg.norm(forward)
+        self.time_place[self.up] = 0.0
         self._floor(look)
 
     def _floor(self, look: Look) -> None:
@@ -110,7 +110,7 @@ class Scene:
             self._camera(f"{number} {_named(camera.name)}", camera, image)
         self._points("/True markers", evidence.truth, TRUTH)
         self._points("/Triangulated keypoints", evidence.keypoints, KEYPOINTS)
-        self._label("/Time", time, self.before)
+        self._label("/Time", time, self.time_place)
 
     def _part(self, part: int, pose: Pose) -> None:
         name = f"/Mean body/{part + 1} {_named(spoken(self.body.topology.names[part]))}"

@@ -35,8 +35,8 @@ def part_mesh(body: Body, part: int, radii: Float[np.ndarray, "2"]) -> Mesh:
 def _turned(heights: Float[np.ndarray, " ring"], sizes: Float[np.ndarray, " ring"], section: Float[np.ndarray, "2"]) -> Mesh:
     """Return the surface of rings around z, from below to above; the first and the last have size 0."""
     turn = np.arange(AROUND) * (2 * np.pi / AROUND)
-    across = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * section
-    flat = sizes[:, None, None] * across
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * section
+    flat = sizes[:, None, None] * circle
     vertices = np.concatenate([flat, np.broadcast_to(heights[:, None, None], (*flat.shape[:2], 1))], axis=-1)
     low = (np.arange(len(heights) - 1)[:, None] * AROUND + np.arange(AROUND)).ravel()
     beside = low - low % AROUND + (low + 1) % AROUND
