@@ -27,12 +27,12 @@ class ImageMotion(NamedTuple):
     both: Bool[Array | np.ndarray, " camera"]
 
 
-def stratified(along: int, across: int) -> Float[np.ndarray, "sample 2"]:
+def stratified(count_t: int, count_s: int) -> Float[np.ndarray, "sample 2"]:
     """Return places at the middles of the cells of a grid."""
-    t, s = np.meshgrid((np.arange(along) + 0.5) / along, (2 * np.arange(across) + 1) / across - 1, indexing="ij")
+    t, s = np.meshgrid((np.arange(count_t) + 0.5) / count_t, (2 * np.arange(count_s) + 1) / count_s - 1, indexing="ij")
     return np.stack([t.ravel(), s.ravel()], axis=1)
 
 
-def random_places(along: int, across: int, seed: int) -> Float[np.ndarray, "sample 2"]:
+def random_places(count_t: int, count_s: int, seed: int) -> Float[np.ndarray, "sample 2"]:
     """Return as many uniform places."""
-    return np.random.default_rng(seed).uniform((0.0, -1.0), (1.0, 1.0), (along * across, 2))
+    return np.random.default_rng(seed).uniform((0.0, -1.0), (1.0, 1.0), (count_t * count_s, 2))

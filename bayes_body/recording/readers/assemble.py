@@ -82,23 +82,23 @@ def frame_rate(rates: Mapping[str, float], user_rate: float | None) -> tuple[flo
     Raises:
         InputError: no rate is known, or the cameras differ.
     """
-    known = {name: rate for name, rate in rates.items() if rate > 0}
+    stated_rates = {name: rate for name, rate in rates.items() if rate > 0}
     if user_rate is not None:
-        others = [f"{name} {rate:g}" for name, rate in known.items() if abs(rate - user_rate) > SAME_RATE * user_rate]
-        return user_rate, [f"--fps {user_rate:g} overrides the videos' rates ({', '.join(others)})."] if others else []
-    if not known:
+        overridden = [f"{name} {rate:g}" for name, rate in stated_rates.items() if abs(rate - user_rate) > SAME_RATE * user_rate]
+        return user_rate, [f"--fps {user_rate:g} overrides the videos' rates ({', '.join(overridden)})."] if overridden else []
+    if not stated_rates:
         raise input_error(
             "--fps",
             "not given, and no recording states its frame rate",
             "frames per second",
             "give the rate at which the cameras filmed, such as --fps 60",
         )
-    slowest, fastest = min(known.values()), max(known.values())
+    slowest, fastest = min(stated_rates.values()), max(stated_rates.values())
     if fastest - slowest > SAME_RATE * fastest:
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in known.items())
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in stated_rates.items())
         raise input_error("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or give the true one with --fps")
     # Containers round the rate, so the mean is nearer to the truth than any single camera's.
-    return round(sum(known.values()) / len(known), 6), []
+    return round(sum(stated_rates.values()) / len(stated_rates), 6), []
 
 
 # Recordings are in one of these folders of a project, or in the project's folder itself.
@@ -146,8 +146,8 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     fps, remarks = frame_rate({recording.camera.name: recording.source.fps for recording in filmed}, options.fps)
     views = tuple(_view(recording, folder, timing.offsets[recording.camera.name], fps) for recording in filmed)
     subject = Subject(height_m=options.height_m)
-    whole = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
-    session = excerpt(whole, options.first_frame, options.frames)
+    recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    session = excerpt(recorded_session, options.first_frame, options.frames)
     remarks = [*(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
@@ -236,18 +236,18 @@ def saved(session: Session) -> Session:
     return load_session(save_session(session))
 
 
-def source_folder(source: Path, what: str) -> Path:
+def source_folder(source: Path, expected: str) -> Path:
     """Return the folder if it exists.
 
     Raises:
         InputError: it does not exist.
     """
     if not source.is_dir():
-        raise input_error(source, "no such folder", what, "check the path")
+        raise input_error(source, "no such folder", expected, "check the path")
     return source
 
 
-def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Path:
+def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str) -> Path:
     """The single file that matches one of the patterns, in the first place that has a match.
 
     Raises:
@@ -256,7 +256,7 @@ def only_file(places: Sequence[Path], patterns: Sequence[str], what: str) -> Pat
     for place in places:
         paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
         if len(paths) > 1:
-            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", what, "keep only one of them there")
+            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", expected, "keep only one of them there")
         if paths:
             return paths[0]
-    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", what, "name the folder that holds the calibration and the videos")
+    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", expected, "name the folder that holds the calibration and the videos")

@@ -68,7 +68,7 @@ class Calibrated(NamedTuple):
 
 
 def calibrated(
-    where: str,
+    entry: str,
     name: str,
     size: Sequence[float | int] | None,
     matrix: Numbers,
@@ -79,7 +79,7 @@ def calibrated(
     """Check the numbers of one camera and build its record.
 
     Args:
-        where: the file and the entry of this camera, as error messages call it.
+        entry: the file and the entry of this camera, as error messages call it.
         name: the camera's name.
         size: width and height, or None.
         matrix: (3, 3), fx, skew, cx; 0, fy, cy; 0, 0, 1; pixels.
@@ -93,43 +93,43 @@ def calibrated(
     faults, values, coefficients, R, size_px = Faults(), (0.0,) * 5, (0.0,) * 5, np.eye(3), None
     T = np.asarray(translation_m, float).ravel()
     with faults.collect():
-        values = _intrinsics(where, np.asarray(matrix, float))
+        values = _intrinsics(entry, np.asarray(matrix, float))
     with faults.collect():
-        coefficients = _distortion(where, np.asarray(distortion, float).ravel())
+        coefficients = _distortion(entry, np.asarray(distortion, float).ravel())
     with faults.collect():
-        R = rotation_matrix(where, rotation)
+        R = rotation_matrix(entry, rotation)
     with faults.collect():
         if T.shape != (3,) or not (np.abs(T) <= FARTHEST_SANE_M).all():
-            raise input_error(f"{where}: translation", _shown(T), "three finite numbers", AGAIN)
+            raise input_error(f"{entry}: translation", _shown(T), "three finite numbers", AGAIN)
     with faults.collect():
-        size_px = None if size is None else whole_size(where, size)
+        size_px = None if size is None else whole_size(entry, size)
     with faults.collect():
         if not name.strip():
-            raise input_error(where, "a camera without a name", "a name", "name it in the calibration")
+            raise input_error(entry, "a camera without a name", "a name", "name it in the calibration")
     faults.raise_any()
     fx, skew, cx, fy, cy = values
     for field, problem, expected in lens_faults(size_px, (fx, fy), (cx, cy), coefficients) if size_px else ():
         with faults.collect():
-            raise input_error(f"{where}: {LENS_FIELDS[field]}", problem, expected, AGAIN)
+            raise input_error(f"{entry}: {LENS_FIELDS[field]}", problem, expected, AGAIN)
     faults.raise_any()
     return Calibrated(name, size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
 
 
-def _intrinsics(where: str, K: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+def _intrinsics(entry: str, K: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
     """(fx, skew in pixels, cx, fy, cy) of a matrix of intrinsics."""
-    subject = f"{where}: camera matrix"
+    subject = f"{entry}: camera matrix"
     if K.shape != (3, 3) or not np.isfinite(K).all() or np.abs(K).max() > MOST_PIXELS:
         raise input_error(subject, _shown(K), f"3 x 3 finite numbers, at most {MOST_PIXELS:g}", AGAIN)
     if not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1], atol=1e-9):
         raise input_error(subject, _shown(K), "fx, skew, cx; 0, fy, cy; 0, 0, 1", "write it by rows, in pixels")
     for axis, focal in zip("xy", (K[0, 0], K[1, 1]), strict=True):
         if not focal >= 1:
-            raise input_error(where, f"focal length {axis} = {focal:g}", "a positive number of pixels", AGAIN)
+            raise input_error(entry, f"focal length {axis} = {focal:g}", "a positive number of pixels", AGAIN)
     return float(K[0, 0]), float(K[0, 1]), float(K[0, 2]), float(K[1, 1]), float(K[1, 2])
 
 
-def _distortion(where: str, numbers: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
-    subject = f"{where}: distortion"
+def _distortion(entry: str, numbers: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    subject = f"{entry}: distortion"
     if numbers.size not in (0, *DISTORTION_LENGTHS) or not np.isfinite(numbers).all():
         raise input_error(subject, _shown(numbers), "4 or 5 finite numbers, k1, k2, p1, p2, k3", AGAIN)
     if numbers[5:].any():
@@ -141,13 +141,13 @@ def _distortion(where: str, numbers: NDArray[np.float64]) -> tuple[float, float,
     return k1, k2, p1, p2, k3
 
 
-def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
+def rotation_matrix(entry: str, rotation: Numbers) -> NDArray[np.float64]:
     """The rotation, (3, 3), from a matrix given by rows or from a Rodrigues vector (3).
 
     Raises:
         InputError: it is neither, or the matrix is not a rotation.
     """
-    subject, numbers = f"{where}: rotation", np.asarray(rotation, float)
+    subject, numbers = f"{entry}: rotation", np.asarray(rotation, float)
     if numbers.size not in (3, 9) or not np.isfinite(numbers).all() or np.abs(numbers).max() > MOST_PIXELS:
         raise input_error(subject, _shown(numbers), "9 finite numbers by rows, or 3 of a Rodrigues vector", AGAIN)
     R = numbers.reshape(3, 3) if numbers.size == 9 else np.asarray(cv2.Rodrigues(numbers.reshape(3, 1))[0], np.float64)
@@ -158,36 +158,36 @@ def rotation_matrix(where: str, rotation: Numbers) -> NDArray[np.float64]:
     return R
 
 
-def rotation_given_twice(where: str, matrix: Numbers, vector: Numbers) -> NDArray[np.float64]:
+def rotation_given_twice(entry: str, matrix: Numbers, vector: Numbers) -> NDArray[np.float64]:
     """The rotation given both as a matrix and as a Rodrigues vector.
 
     Raises:
         InputError: one of them is not a rotation, or they contradict each other.
     """
-    R = rotation_matrix(where, matrix)
-    off = float(np.linalg.norm(rotation_matrix(where, vector) - R))
+    R = rotation_matrix(entry, matrix)
+    off = float(np.linalg.norm(rotation_matrix(entry, vector) - R))
     if off > TWICE_TOLERANCE:
         problem = f"the Rodrigues vector contradicts the rotation matrix by {off:.2g}"
-        raise input_error(where, problem, "the same rotation in both", "find out which is right, and compute the other from it")
+        raise input_error(entry, problem, "the same rotation in both", "find out which is right, and compute the other from it")
     return R
 
 
-def whole_size(where: str, size: Sequence[float | int]) -> tuple[int, int]:
+def whole_size(entry: str, size: Sequence[float | int]) -> tuple[int, int]:
     """(width, height) as whole numbers.
 
     Raises:
         InputError: they are not two whole, positive numbers.
     """
     if len(size) != 2 or not all(1 <= side <= MOST_PIXELS and side == int(side) for side in size):
-        raise input_error(f"{where}: image size", _shown(np.asarray(size, float)), "width and height, whole numbers of pixels", AGAIN)
+        raise input_error(f"{entry}: image size", _shown(np.asarray(size, float)), "width and height, whole numbers of pixels", AGAIN)
     return int(size[0]), int(size[1])
 
 
-def check_rig(where: object, cameras: Sequence[Calibrated]) -> None:
+def check_rig(calibration: object, cameras: Sequence[Calibrated]) -> None:
     """Refuse cameras that cannot belong to one room: duplicate names, or distances with a wrong unit.
 
     Args:
-        where: the calibration, as error messages call it.
+        calibration: the calibration, as error messages call it.
         cameras: all cameras of the room.
 
     Raises:
@@ -197,13 +197,13 @@ def check_rig(where: object, cameras: Sequence[Calibrated]) -> None:
     for name, count in Counter(camera.name for camera in cameras).items():
         with faults.collect():
             if count > 1:
-                raise input_error(f"{where}: camera '{name}'", f"{count} cameras have this name", "unique names", "rename all but one")
+                raise input_error(f"{calibration}: camera '{name}'", f"{count} cameras have this name", "unique names", "rename all but one")
     with faults.collect():
-        _check_distances(where, np.array([camera.viewpoint_m for camera in cameras]))
+        _check_distances(calibration, np.array([camera.viewpoint_m for camera in cameras]))
     faults.raise_any()
 
 
-def _check_distances(where: object, viewpoints: NDArray[np.float64]) -> None:
+def _check_distances(calibration: object, viewpoints: NDArray[np.float64]) -> None:
     # A single camera can only be far from the world's origin, and it may stand there.
     middle = viewpoints.mean(axis=0) if len(viewpoints) > 1 else np.zeros(3)
     extent = float(np.linalg.norm(viewpoints[:, None] - viewpoints, axis=-1).max())
@@ -211,9 +211,9 @@ def _check_distances(where: object, viewpoints: NDArray[np.float64]) -> None:
     expected = f"a room of {NEAREST_M:g} to {FARTHEST_M:g} m"
     if not farthest <= FARTHEST_M:
         problem = f"cameras {farthest:.4g} m apart or from the world's origin"
-        raise input_error(where, problem, expected, "it looks like a factor of 1000, millimetres read as metres")
+        raise input_error(calibration, problem, expected, "it looks like a factor of 1000, millimetres read as metres")
     if len(viewpoints) > 1 and extent < NEAREST_M:
-        raise input_error(where, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
+        raise input_error(calibration, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
 
 
 def _shown(numbers: NDArray[np.float64]) -> str:

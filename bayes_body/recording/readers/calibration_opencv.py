@@ -130,32 +130,32 @@ def _keys(file: _File) -> tuple[str, ...]:
         return ()
 
 
-def _camera(where: str, name: str, files: tuple[_File, _File], end: str, unit_m: float) -> Calibrated:
+def _camera(entry: str, name: str, files: tuple[_File, _File], end: str, unit_m: float) -> Calibrated:
     """The camera whose keys end in `end`, from the files of its intrinsics and extrinsics."""
     inner, outer = files
     matrix = inner.numbers(_ending(MATRIX, end), "camera matrix")
     distortion = inner.numbers(_ending(DISTORTION, end), "distortion coefficients")
     T = outer.numbers(_ending(TRANSLATION, end), "translation from the world to the camera; intrinsics without extrinsics do not place a camera")
     assert matrix is not None and distortion is not None and T is not None
-    return calibrated(where, name, _size(inner, end), matrix, distortion, _rotation(where, outer, end), unit_m * T)
+    return calibrated(entry, name, _size(inner, end), matrix, distortion, _rotation(entry, outer, end), unit_m * T)
 
 
 def _ending(names: Sequence[str], end: str) -> list[str]:
     return [f"{name}{end}" for name in names]
 
 
-def _rotation(where: str, file: _File, end: str) -> NDArray[np.float64]:
+def _rotation(entry: str, file: _File, end: str) -> NDArray[np.float64]:
     # EasyMocap writes the vector as R_CAMERA and the matrix as Rot_CAMERA.
     first = file.numbers(_ending((*(("Rot",) if end else ()), *ROTATION), end), "rotation from the world to the camera")
     second = file.numbers(_ending((*VECTOR, *(("R",) if end else ())), end))
     assert first is not None
-    return first if second is None or first.size == second.size else rotation_given_twice(where, first, second)
+    return first if second is None or first.size == second.size else rotation_given_twice(entry, first, second)
 
 
 def _size(file: _File, end: str) -> list[float] | None:
-    both = file.numbers(_ending(SIZE, end))
-    if both is not None:
-        return both.ravel().tolist()
+    size = file.numbers(_ending(SIZE, end))
+    if size is not None:
+        return size.ravel().tolist()
     sides = [file.numbers(_ending((*names, letter), end)) for names, letter in ((WIDTH, "W"), (HEIGHT, "H"))]
     return np.concatenate([side.ravel() for side in sides if side is not None]).tolist() if any(side is not None for side in sides) else None
 
@@ -180,25 +180,25 @@ def _not_read(path: Path, reason: str) -> InputError:
     return input_error(path, f"cannot be read by OpenCV ({reason.strip().splitlines()[-1].split(') ')[-1]})", KIND, "restore the file")
 
 
-def _numbers(where: str, node: cv2.FileNode) -> NDArray[np.float64]:
+def _numbers(entry: str, node: cv2.FileNode) -> NDArray[np.float64]:
     """The numbers of a node: an array (rows, columns), stored as rows, columns and data; a list of numbers or of lists; or a single number, (1,)."""
     if node.isMap():
         # FileNode.mat() is not safe: it trusts rows and columns, and would allocate what a damaged file asks for.
         rows, columns = (node.getNode(key) for key in ("rows", "cols"))
         shape = [int(side.real()) if side.isInt() else 0 for side in (rows, columns)]
-        numbers = np.array(list(_flat(where, node.getNode("data"))))
+        numbers = np.array(list(_flat(entry, node.getNode("data"))))
         if numbers.size != shape[0] * shape[1]:
-            raise input_error(where, f"{numbers.size} numbers for {shape[0]} rows and {shape[1]} columns", "an array of numbers", "restore the file")
+            raise input_error(entry, f"{numbers.size} numbers for {shape[0]} rows and {shape[1]} columns", "an array of numbers", "restore the file")
         return numbers.reshape(shape)
-    numbers = np.array(list(_flat(where, node)))
+    numbers = np.array(list(_flat(entry, node)))
     return numbers.reshape(3, 3) if node.isSeq() and numbers.size == 9 else numbers
 
 
-def _flat(where: str, node: cv2.FileNode, depth: int = 0) -> Iterator[float]:
+def _flat(entry: str, node: cv2.FileNode, depth: int = 0) -> Iterator[float]:
     if node.isSeq() and depth < 3 and node.size() <= MOST_NUMBERS:
         for i in range(node.size()):
-            yield from _flat(where, node.at(i), depth + 1)
+            yield from _flat(entry, node.at(i), depth + 1)
     elif node.isInt() or node.isReal():
         yield node.real()
     else:
-        raise input_error(where, "no numbers", f"at most {MOST_NUMBERS} numbers", "restore the file")
+        raise input_error(entry, "no numbers", f"at most {MOST_NUMBERS} numbers", "restore the file")

@@ -62,32 +62,32 @@ def _films(camera: ElementTree.Element) -> bool:
     return "video" in model or model == "none"
 
 
-def _camera(where: str, name: str, element: ElementTree.Element) -> Calibrated:
-    turned = _number(where, element, "viewrotation", 0.0)
+def _camera(entry: str, name: str, element: ElementTree.Element) -> Calibrated:
+    turned = _number(entry, element, "viewrotation", 0.0)
     if turned:
         remedy = "set the view rotation to 0 in Qualisys Track Manager and export calibration and videos again"
-        raise input_error(f"{where}: viewrotation", f"{turned:g} degrees", "0, images in the sensor's orientation", remedy)
-    inner, outer, recorded = (_child(where, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
-    if _number(where, inner, "skew", 0.0):
-        raise input_error(f"{where}: skew", f"{inner.get('skew')}", "0, since the unit of skew is not known", "calibrate again without skew")
-    left, top, right, bottom = (_number(where, recorded, key) for key in ("left", "top", "right", "bottom"))
-    fx, fy, cx, cy = (_number(where, inner, key) / SUBPIXELS for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
-    k1, k2, k3 = (_number(where, inner, f"radialDistortion{i}", 0.0) for i in (1, 2, 3))
-    p1, p2 = (_number(where, inner, f"tangentalDistortion{i}", 0.0) for i in (1, 2))
-    R = Y_DOWN_Z_FORWARD @ np.array([[_number(where, outer, f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
-    centre_m = MM * np.array([_number(where, outer, axis) for axis in "xyz"])
-    matrix = [[fx, 0.0, cx - left], [0.0, fy, cy - top], [0.0, 0.0, 1.0]]
-    return calibrated(where, name, (right - left + 1, bottom - top + 1), matrix, (k1, k2, p1, p2, k3), R, -R @ centre_m)
+        raise input_error(f"{entry}: viewrotation", f"{turned:g} degrees", "0, images in the sensor's orientation", remedy)
+    inner, outer, recorded = (_child(entry, element, tag) for tag in ("intrinsic", "transform", "fov_video"))
+    if _number(entry, inner, "skew", 0.0):
+        raise input_error(f"{entry}: skew", f"{inner.get('skew')}", "0, since the unit of skew is not known", "calibrate again without skew")
+    first_column, first_row, last_column, last_row = (_number(entry, recorded, key) for key in ("left", "top", "right", "bottom"))
+    fx, fy, cx, cy = (_number(entry, inner, key) / SUBPIXELS for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
+    k1, k2, k3 = (_number(entry, inner, f"radialDistortion{i}", 0.0) for i in (1, 2, 3))
+    p1, p2 = (_number(entry, inner, f"tangentalDistortion{i}", 0.0) for i in (1, 2))
+    R = Y_DOWN_Z_FORWARD @ np.array([[_number(entry, outer, f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
+    centre_m = MM * np.array([_number(entry, outer, axis) for axis in "xyz"])
+    matrix = [[fx, 0.0, cx - first_column], [0.0, fy, cy - first_row], [0.0, 0.0, 1.0]]
+    return calibrated(entry, name, (last_column - first_column + 1, last_row - first_row + 1), matrix, (k1, k2, p1, p2, k3), R, -R @ centre_m)
 
 
-def _child(where: str, element: ElementTree.Element, tag: str) -> ElementTree.Element:
+def _child(entry: str, element: ElementTree.Element, tag: str) -> ElementTree.Element:
     child = element.find(tag)
     if child is None:
-        raise input_error(where, f"no <{tag}>", "<transform>, <intrinsic> and <fov_video>", "export the calibration again, with the video cameras")
+        raise input_error(entry, f"no <{tag}>", "<transform>, <intrinsic> and <fov_video>", "export the calibration again, with the video cameras")
     return child
 
 
-def _number(where: str, element: ElementTree.Element, key: str, default: float | None = None) -> float:
+def _number(entry: str, element: ElementTree.Element, key: str, default: float | None = None) -> float:
     text = element.get(key)
     if text is None and default is not None:
         return default
@@ -97,10 +97,10 @@ def _number(where: str, element: ElementTree.Element, key: str, default: float |
         value = math.nan
     # Its squares and products must be finite too.
     if not abs(value) < 1e12:
-        raise _no_number(where, element, key, text)
+        raise _no_number(entry, element, key, text)
     return value
 
 
-def _no_number(where: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
+def _no_number(entry: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
     problem = "missing" if text is None else f"'{text[:40]}'"
-    return input_error(f"{where}: {element.tag} {key}", problem, "a finite number", "restore the file, or export the calibration again")
+    return input_error(f"{entry}: {element.tag} {key}", problem, "a finite number", "restore the file, or export the calibration again")

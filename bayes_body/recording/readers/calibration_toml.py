@@ -54,14 +54,14 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0) -> list[Calibrated]:
     return cameras
 
 
-def _camera(where: str, key: str, table: Any, unit_m: float) -> Calibrated:
+def _camera(entry: str, key: str, table: Any, unit_m: float) -> Calibrated:
     if not isinstance(table, dict):
-        raise input_error(where, "not a table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
-    camera = validate(_Camera, table, where)
+        raise input_error(entry, "not a table", "a camera's table", "remove it, or write a header in brackets above the camera's keys")
+    camera = validate(_Camera, table, entry)
     if camera.fisheye:
         raise input_error(
-            f"{where}.fisheye", "true", "a plain lens (k1, k2, p1, p2, k3)", "calibrate again without the fisheye model, or undistort the images"
+            f"{entry}.fisheye", "true", "a plain lens (k1, k2, p1, p2, k3)", "calibrate again without the fisheye model, or undistort the images"
         )
     translation_m = [unit_m * value for value in camera.translation]
     name = key if camera.name is None else camera.name
-    return calibrated(where, name, camera.size, camera.matrix, camera.distortions, camera.rotation, translation_m)
+    return calibrated(entry, name, camera.size, camera.matrix, camera.distortions, camera.rotation, translation_m)

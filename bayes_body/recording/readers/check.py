@@ -87,9 +87,9 @@ def _check_places(session: Session) -> None:
 
 def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[tuple[int, str]], read: Callable[[Path], Any]) -> list[str]:
     """Check one series of files, each with its frame's number. Returns remarks on missing files; errors go to `faults`."""
-    ends, missing, count, where = list[Path](), list[int](), 0, ""
+    ends, missing, count, first_file = list[Path](), list[int](), 0, ""
     for number, file in files:
-        count, where = count + 1, where or file
+        count, first_file = count + 1, first_file or file
         if os.path.exists(file):  # noqa: PTH110
             # Only the first and the last are read.
             ends[1:] = [Path(file)] if ends else []
@@ -99,7 +99,9 @@ def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[tuple[i
     remedy = f"correct {kind}, first_frame and frames in session.toml"
     if not ends:
         with faults.collect():
-            raise input_error(owner, f"all {count} {kind} are missing, the first is {where}", "a file for every frame", f"restore them, or {remedy}")
+            raise input_error(
+                owner, f"all {count} {kind} are missing, the first is {first_file}", "a file for every frame", f"restore them, or {remedy}"
+            )
         return []
     remarks = [f"{owner}: {_share(len(missing), count, kind)} ({named(missing)}): {BLIND}; restore them, or {remedy}."] if missing else []
     with faults.collect():
@@ -113,8 +115,8 @@ def _check_series(faults: Faults, owner: str, kind: str, files: Iterable[tuple[i
     return remarks
 
 
-def _share(count: int, whole: int, kind: str) -> str:
-    return f"{count} of {whole} {kind} {'is' if count == 1 else 'are'} missing"
+def _share(count: int, total: int, kind: str) -> str:
+    return f"{count} of {total} {kind} {'is' if count == 1 else 'are'} missing"
 
 
 def _check_video(session: Session, view: View, owner: str, used: int) -> list[str]:
@@ -151,8 +153,8 @@ def _check_rate(path: Path, stated: float, fps: float, view: View) -> list[str]:
     if not stated or off <= SAME_RATE:
         return []
     if off <= NEAR_RATE:
-        after = f"after {1 / off / expected:.0f} s the session's times are one frame off"
-        return [f"{path}: {stated:g} frames per second, and {expected:g} in session.toml: {after}; correct fps if the video is right."]
+        drift = f"after {1 / off / expected:.0f} s the session's times are one frame off"
+        return [f"{path}: {stated:g} frames per second, and {expected:g} in session.toml: {drift}; correct fps if the video is right."]
     key = "fps" if view.video_fps is None else f"video_fps of camera '{view.camera.name}'"
     remedy = "name the right video, or correct fps; where the camera filmed at fps but its file states another rate, add video_fps to the camera"
     raise input_error(path, f"{stated:g} frames per second", f"{expected:g}, {key} in session.toml", remedy)

@@ -116,12 +116,12 @@ def _missing_bytes(content: bytes) -> int:
         return 0
     if len(content) < 34:
         return 34 - len(content)
-    (whole,) = struct.unpack_from("<I", content, 2)
+    (full_size,) = struct.unpack_from("<I", content, 2)
     start, header, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", content, 10)
     # The file size in a header is often wrong, so it is used only where the rows cannot be counted. Rows are padded to 4 bytes.
     if header >= 40 and compression == 0:
-        whole = start + (abs(width) * bits + 31) // 32 * 4 * abs(height)
-    return max(0, whole - len(content))
+        full_size = start + (abs(width) * bits + 31) // 32 * 4 * abs(height)
+    return max(0, full_size - len(content))
 
 
 @contextmanager

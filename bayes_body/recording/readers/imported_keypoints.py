@@ -35,12 +35,12 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
     """
     folder = options.keypoints or usual
     folders = keypoint_folders(session, folder) if folder else {}
-    what = "a folder CAMERA_json of OpenPose's files for each camera"
+    expected = "a folder CAMERA_json of OpenPose's files for each camera"
     if options.keypoints is not None and not folders:
-        raise input_error(f"--keypoints {folder}", "no folder of any camera in it", what, "check the path and the folders' names")
+        raise input_error(f"--keypoints {folder}", "no folder of any camera in it", expected, "check the path and the folders' names")
     if options.layout is not None and not folders:
         raise input_error(
-            "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", what, "leave the option out"
+            "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", expected, "leave the option out"
         )
     return with_keypoints(session, folders, options.layout) if folders else (session, [])
 
@@ -73,8 +73,8 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
     files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
-    known = session.initial or session.initial_markers
-    return replace(session, views=marked, initial_keypoints={} if known else first), remarks
+    has_first_pose = session.initial or session.initial_markers
+    return replace(session, views=marked, initial_keypoints={} if has_first_pose else first), remarks
 
 
 def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) -> tuple[list[list[People]], list[str]]:
@@ -107,8 +107,8 @@ def _sample(views: Sequence[View], folders: Mapping[str, Path]) -> list[People]:
 def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.ndarray, "person keypoint 3"]:
     counts = sorted({group.shape[1] for group in people})
     if len(counts) > 1:
-        where = next(iter(folders.values())).parent
-        raise input_error(where, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
+        folder = next(iter(folders.values())).parent
+        raise input_error(folder, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
     return np.concatenate(people)
 
 
@@ -141,7 +141,7 @@ def _crowd(session: Session, views: Sequence[View], people: Sequence[People], se
     places = series[0]
     if not any(place is not None for place in places):
         why = "No two cameras agree on a person's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
-        return [f"{why} in frame {session.first_frame}, the first one: the session has no first keypoints{_later(session, series)}."]
+        return [f"{why} in frame {session.first_frame}, the first one: the session has no first keypoints{_describe_first_shown(session, series)}."]
     choices = [
         f"{view.camera.name}: {'none' if place is None else f'#{place + 1}'} of {len(among)}"
         for view, among, place in zip(views, people, places, strict=True)
@@ -153,13 +153,13 @@ def _crowd(session: Session, views: Sequence[View], people: Sequence[People], se
     )
 
 
-def _later(session: Session, series: Sequence[Places]) -> str:
+def _describe_first_shown(session: Session, series: Sequence[Places]) -> str:
     """Words on the first frame in which two cameras, or the only one, show the subject."""
     shown = [sum(place is not None for place in places) for places in series]
-    later = next((frame for frame, count in enumerate(shown) if count >= min(2, len(series[0]))), None)
-    if later is None:
+    first_shown = next((frame for frame, count in enumerate(shown) if count >= min(2, len(series[0]))), None)
+    if first_shown is None:
         return ""
-    number = session.frame_number(later)
+    number = session.frame_number(first_shown)
     return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
 
 

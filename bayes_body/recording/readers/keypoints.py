@@ -183,8 +183,8 @@ def choose_layout(points: Float[np.ndarray, "person keypoint 3"], name: str | No
             )
         return Layout(name, LAYOUTS[name])
     if not fitting:
-        known = ", ".join(f"{layout} ({len(keypoints)})" for layout, keypoints in LAYOUTS.items())
-        raise input_error("keypoints", f"{count} per person", known, "write them in one of these orders")
+        layouts = ", ".join(f"{layout} ({len(keypoints)})" for layout, keypoints in LAYOUTS.items())
+        raise input_error("keypoints", f"{count} per person", layouts, "write them in one of these orders")
     if len(fitting) == 1:
         return Layout(fitting[0], LAYOUTS[fitting[0]])
     return _by_proportions(points, fitting)
@@ -209,8 +209,8 @@ def disproportion(points: Float[np.ndarray, "person keypoint 3"], keypoints: tup
     """
     index = {name: i for i, name in enumerate(keypoints)}
     ends = np.array([[index[f"{side}_{a}"], index[f"{side}_{b}"]] for side in "lr" for a, b in PROPORTIONS])
-    where = np.where(points[..., 2:] > 0, points[..., :2], np.nan)
-    lengths = np.linalg.norm(where[:, ends[:, 0]] - where[:, ends[:, 1]], axis=-1)
+    places = np.where(points[..., 2:] > 0, points[..., :2], np.nan)
+    lengths = np.linalg.norm(places[:, ends[:, 0]] - places[:, ends[:, 1]], axis=-1)
     # A limb seen end-on has almost no length; one pixel keeps its logarithm finite.
     ratios = np.log(np.maximum(lengths, 1.0) / np.tile(list(PROPORTIONS.values()), 2))
     ratios = ratios[np.isfinite(ratios).sum(axis=1) >= len(PROPORTIONS)]

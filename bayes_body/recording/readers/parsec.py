@@ -150,16 +150,16 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
     source_folder(source, "a bodytrack recording (CALIB, CAM1, FG1, InitialPose.txt ...)")
     check_height(options.height_m)
     check_fps(options.fps)
-    faults, recorded, known = Faults(), None, None
+    faults, recorded, subject_files = Faults(), None, None
     with faults.collect():
         recorded = read_views(source)
     with faults.collect():
-        known = read_subject(source)
-    if recorded is None or known is None:
+        subject_files = read_subject(source)
+    if recorded is None or subject_files is None:
         faults.raise_any()
         raise AssertionError("a reader neither returned nor raised")
     timing = align({view.camera.name: (recorded.first_frame, recorded.frames) for view in recorded.views}, options.offsets)
-    whole = Session(
+    recorded_session = Session(
         folder=folder.resolve(),
         title=f"bodytrack recording {source.resolve().name}",
         up="z",
@@ -167,21 +167,23 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         frames=timing.frames,
         first_frame=timing.first_frame,
         views=tuple(replace(view, offset=timing.offsets[view.camera.name]) for view in recorded.views),
-        subject=known.subject,
-        initial=known.initial,
+        subject=subject_files.subject,
+        initial=subject_files.initial,
         positions=frozenset(POSITIONS),
     )
-    session = excerpt(whole, options.first_frame, options.frames)
+    session = excerpt(recorded_session, options.first_frame, options.frames)
     session, keypoint_remarks = with_imported_keypoints(with_options(session, options), options)
-    remarks = [*recorded.remarks, *known.remarks, *timing.remarks, *_left_out(whole, session)]
+    remarks = [*recorded.remarks, *subject_files.remarks, *timing.remarks, *_left_out(recorded_session, session)]
     remarks += [*([] if options.fps else [_fps_remark()]), *keypoint_remarks]
     return saved(session), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
 
 
-def _left_out(whole: Session, session: Session) -> list[str]:
-    if not whole.initial or session.first_frame == whole.first_frame:
+def _left_out(recording: Session, session: Session) -> list[str]:
+    if not recording.initial or session.first_frame == recording.first_frame:
         return []
-    return [f"The recording's first pose belongs to frame {whole.first_frame} and is left out: the session begins at frame {session.first_frame}."]
+    return [
+        f"The recording's first pose belongs to frame {recording.first_frame} and is left out: the session begins at frame {session.first_frame}."
+    ]
 
 
 def _fps_remark() -> str:

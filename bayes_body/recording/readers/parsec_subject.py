@@ -85,7 +85,7 @@ def _by_dof(numbers: NDArray[np.float64]) -> dict[str, float]:
 def _read_shape(path: Path) -> Subject:
     numbers = read_numbers(path, 58, "10 parts of 4 (base radius, tip radius, x-scale, y-scale), then 18 lengths")
     rows, lengths = numbers[:40].reshape(10, 4), numbers[40:]
-    measures = {f"{part}, {what}": value for part, row in zip(PARTS, rows, strict=True) for what, value in zip(SHAPE_COLUMNS, row, strict=True)}
+    measures = {f"{part}, {column}": value for part, row in zip(PARTS, rows, strict=True) for column, value in zip(SHAPE_COLUMNS, row, strict=True)}
     named = {name: float(value) for name, value in zip(LENGTHS, lengths, strict=True) if name}
     _check_positive(path, measures | {f"{name}, length": value for name, value in named.items()})
     if max(named.values()) < SHORTEST_MM:
@@ -126,11 +126,11 @@ def canonical_hinges(pose: Mapping[str, float], sections: Mapping[str, tuple[flo
     for hinge, twist, parts in LIMBS:
         if pose[hinge] <= 0 or not all(math.isclose(*sections[part]) for part in parts):
             continue
-        before = pose[hinge], pose[twist]
+        given_angles = pose[hinge], pose[twist]
         # Of the two equivalent rotations, take the twist nearer to 0: the limits surround 0.
         pose[twist] = min(pose[twist] - math.pi, pose[twist] + math.pi, key=abs)
         pose[hinge] = -pose[hinge]
-        (h0, t0), (h1, t1) = (tuple(math.degrees(angle) for angle in pair) for pair in (before, (pose[hinge], pose[twist])))
+        (h0, t0), (h1, t1) = (tuple(math.degrees(angle) for angle in pair) for pair in (given_angles, (pose[hinge], pose[twist])))
         remarks.append(
             f"InitialPose.txt: {hinge} {h0:.1f} deg becomes {h1:.1f}, {twist} {t0:.1f} becomes {t1:.1f}: the same picture with negative flexion."
         )

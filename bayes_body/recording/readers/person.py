@@ -83,8 +83,8 @@ def _error(cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequ
 def _relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"], person: Float[np.ndarray, "keypoint 3"]) -> float:
     """Median distance between a body's projection and a person, as a fraction of the person's size; infinite if they share too few keypoints."""
     errors = reprojection_errors([camera], points_m, person[None])[0]
-    known = errors[~np.isnan(errors)]
-    return float(np.median(known)) / _size(person) if len(known) >= FEWEST else np.inf
+    errors_px = errors[~np.isnan(errors)]
+    return float(np.median(errors_px)) / _size(person) if len(errors_px) >= FEWEST else np.inf
 
 
 def _size(person: Float[np.ndarray, "keypoint 3"]) -> float:

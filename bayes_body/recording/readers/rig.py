@@ -85,11 +85,11 @@ class Rig:
         Raises:
             InputError: no such camera.
         """
-        known = [camera.name for camera in self.cameras]
+        names_of_rig = [camera.name for camera in self.cameras]
         for name in names:
-            if name not in known:
-                raise InputError(f"rig {self.name}: camera '{name}': no such camera; {nearest(name, known)}")
-        selected = [c for c, name in enumerate(known) if name in names]
+            if name not in names_of_rig:
+                raise InputError(f"rig {self.name}: camera '{name}': no such camera; {nearest(name, names_of_rig)}")
+        selected = [c for c, name in enumerate(names_of_rig) if name in names]
         cameras, grey, path = (tuple(column[c] for c in selected) for column in (self.cameras, self.grey, self.path))
         return replace(self, cameras=cameras, grey=grey, path=path)
 
@@ -180,13 +180,13 @@ def _of_session(path: Path, tables: Mapping[str, Any]) -> Rig:
     session = parse_session(tables, path.resolve().parent, str(path))
     axes = list(TURNED[session.up])
     cameras = tuple(replace(view.camera, rotation=view.camera.rotation[:, axes]) for view in session.views)
-    return _still(path.resolve().parent.name, session.title, session.fps, cameras)
+    return _build_fixed_rig(path.resolve().parent.name, session.title, session.fps, cameras)
 
 
 def _of_calibration(path: Path) -> Rig:
     cameras = read_calibration_toml(path)
     check_rig(path, cameras)
-    return _still(path.stem, f"The cameras of {path.name}", USUAL_FPS, tuple(_sized(path, camera) for camera in cameras))
+    return _build_fixed_rig(path.stem, f"The cameras of {path.name}", USUAL_FPS, tuple(_sized(path, camera) for camera in cameras))
 
 
 def _sized(path: Path, camera: Calibrated) -> CameraSpec:
@@ -195,7 +195,7 @@ def _sized(path: Path, camera: Calibrated) -> CameraSpec:
     return camera.spec(camera.size_px)
 
 
-def _still(name: str, title: str, fps: float, cameras: tuple[CameraSpec, ...]) -> Rig:
+def _build_fixed_rig(name: str, title: str, fps: float, cameras: tuple[CameraSpec, ...]) -> Rig:
     return Rig(name, title, fps, cameras, (False,) * len(cameras), (None,) * len(cameras), _crossing(cameras))
 
 
@@ -204,9 +204,9 @@ def _crossing(cameras: Sequence[CameraSpec]) -> NDArray[np.float64]:
     normal, target = np.zeros((3, 3)), np.zeros(3)
     for camera in cameras:
         centre, forward = -camera.rotation.T @ camera.translation_m, camera.rotation[2]
-        across = np.eye(3) - np.outer(forward, forward)
-        normal += across + PULL * np.eye(3)
-        target += across @ centre + PULL * (centre + USUAL_DISTANCE_M * forward)
+        perpendicular = np.eye(3) - np.outer(forward, forward)
+        normal += perpendicular + PULL * np.eye(3)
+        target += perpendicular @ centre + PULL * (centre + USUAL_DISTANCE_M * forward)
     return np.linalg.solve(normal, target)
 
 

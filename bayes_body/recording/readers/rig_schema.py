@@ -31,7 +31,7 @@ def file_name(text: str) -> str:
     return text
 
 
-def _both(value: Any) -> Any:
+def _double(value: Any) -> Any:
     """Accept one focal length for both x and y."""
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
@@ -68,7 +68,7 @@ class RigCameraTable(Schema):
 
     name: Annotated[str, Field(min_length=1), AfterValidator(file_name)]
     size_px: Size
-    focal_px: Annotated[tuple[Positive, Positive], BeforeValidator(_both)]
+    focal_px: Annotated[tuple[Positive, Positive], BeforeValidator(_double)]
     centre_px: tuple[Finite, Finite] | None = None
     skew: Finite = 0.0
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -107,9 +107,9 @@ class RigCameraTable(Schema):
     def _path_faults(self) -> Iterator[str]:
         if len(self.path) == 1:
             yield "path has 1 keyframe; expected 2 or more; add one, or give position_m and look_at_m"
-        for before, after in pairwise(self.path):
-            if after.time_s <= before.time_s:
-                yield f"path goes from {before.time_s:g} s to {after.time_s:g} s; expected ascending times; put the keyframes in order"
+        for earlier, later_keyframe in pairwise(self.path):
+            if later_keyframe.time_s <= earlier.time_s:
+                yield f"path goes from {earlier.time_s:g} s to {later_keyframe.time_s:g} s; expected ascending times; put the keyframes in order"
 
 
 class RigFile(Schema):

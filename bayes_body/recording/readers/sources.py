@@ -144,9 +144,9 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
     matches = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
     if len(matches) != 1:
-        what = "no image or video" if not matches else ", ".join(path.name for path in matches)
+        problem = "no image or video" if not matches else ", ".join(path.name for path in matches)
         raise input_error(
-            f"--background {folder}", f"{what} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it"
+            f"--background {folder}", f"{problem} for camera '{name}'", f"one of the empty scene, such as {name}.png or {name}.mp4", "add it"
         )
     (path,) = matches
     if path.suffix.lower() in SUFFIXES:
@@ -159,7 +159,7 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
     return path
 
 
-def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Source) -> str | None:
+def settled_size(camera: str, calibrated_px: tuple[int, int] | None, source: Source) -> str | None:
     """Compare the sizes of a recording and its calibration. Returns None if they are equal, or a remark if only a codec's padding is missing.
 
     Raises:
@@ -169,8 +169,8 @@ def settled_size(where: str, calibrated_px: tuple[int, int] | None, source: Sour
         return None
     (width, height), (w, h) = calibrated_px, source.size_px
     padded = tuple(-(-side // BLOCK) * BLOCK for side in (w, h))
-    if all(full in (side, whole) for full, side, whole in zip((width, height), (w, h), padded, strict=True)):
+    if all(full in (side, padded_side) for full, side, padded_side in zip((width, height), (w, h), padded, strict=True)):
         cut = f"calibrated at {width} x {height}, the recording has {w} x {h}"
-        return f"{where}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
+        return f"{camera}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
     remedy = "name the recording that the camera was calibrated for, or calibrate again"
-    raise input_error(where, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)
+    raise input_error(camera, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)

@@ -106,10 +106,10 @@ def project(camera: CameraSpec, points_m: Float[np.ndarray, "point 3"]) -> Float
     """Project points of the world to column and row, pixels; infinite behind the camera, NaN for a point that is NaN."""
     points = points_m @ camera.rotation.T + camera.translation_m
     behind = points[:, 2] <= NEAR_M
-    ahead = np.where(behind[:, None] | np.isnan(points), [0.0, 0.0, 1.0], points)
-    if not len(ahead):
+    in_front = np.where(behind[:, None] | np.isnan(points), [0.0, 0.0, 1.0], points)
+    if not len(in_front):
         return np.zeros((0, 2))
-    xy = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), np.eye(3), np.array(camera.distortion))[0][:, 0]
+    xy = cv2.projectPoints(in_front, np.zeros(3), np.zeros(3), np.eye(3), np.array(camera.distortion))[0][:, 0]
     # OpenCV's projection has no skew.
     x = xy[:, 0] + camera.skew * xy[:, 1]
     pixels = np.stack([x, xy[:, 1]], axis=-1) * camera.focal_px + camera.centre_px
@@ -122,8 +122,8 @@ def _rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.
     """Undistorted (x, y) at depth 1 in the camera's frame; NaN where not seen."""
     xy = (pixels - camera.centre_px) / camera.focal_px
     xy[:, 0] -= camera.skew * xy[:, 1]
-    known = np.isfinite(xy).all(axis=1)
-    if known.any():
-        inside = xy[known][:, None]
-        xy[known] = cv2.undistortPointsIter(inside, np.eye(3), np.array(camera.distortion), np.eye(3), np.eye(3), UNDISTORTION)[:, 0]
+    is_measured = np.isfinite(xy).all(axis=1)
+    if is_measured.any():
+        inside = xy[is_measured][:, None]
+        xy[is_measured] = cv2.undistortPointsIter(inside, np.eye(3), np.array(camera.distortion), np.eye(3), np.eye(3), UNDISTORTION)[:, 0]
     return xy

@@ -55,9 +55,9 @@ def _order(path: Path, names: NDArray[np.generic]) -> list[int]:
     """The index of each of `MARKERS` in the file."""
     file_names = [str(name) for name in names.ravel()] if names.dtype.kind == "U" else []
     if names.ndim != 1 or sorted(file_names) != sorted(MARKERS):
-        missing, unknown = [name for name in MARKERS if name not in file_names], [name[:40] for name in file_names[:50] if name not in MARKERS]
-        what = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(unknown) or 'none'}" if file_names else "not a list of strings"
-        raise input_error(f"{path}: names", f"{what} ({len(file_names)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
+        missing, surplus = [name for name in MARKERS if name not in file_names], [name[:40] for name in file_names[:50] if name not in MARKERS]
+        problem = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(surplus) or 'none'}" if file_names else "not a list of strings"
+        raise input_error(f"{path}: names", f"{problem} ({len(file_names)} names)", f"each of {', '.join(MARKERS)} once", REMEDY)
     return [file_names.index(name) for name in MARKERS]
 
 

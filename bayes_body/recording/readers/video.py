@@ -262,7 +262,7 @@ class _Reader:
     def _is_distinct(self, number: int) -> bool:
         """Whether a frame's time is unlike its neighbours': in streams without times all are the same."""
         times = self._times[max(0, number - 1) : number + 2]
-        return all(before is not None and after is not None and before < after for before, after in pairwise(times))
+        return all(earlier is not None and next_time is not None and earlier < next_time for earlier, next_time in pairwise(times))
 
     def _restart(self) -> None:
         self._stream.close()

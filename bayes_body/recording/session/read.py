@@ -176,13 +176,13 @@ def load_session(path: Path | str) -> Session:
     return parse_session(read_toml(path), path.resolve().parent, str(path))
 
 
-def parse_session(tables: Mapping[str, Any], folder: Path, where: str) -> Session:
-    """Build the session that the tables of a `session.toml` describe. Relative paths start at `folder`; error messages call the file `where`.
+def parse_session(tables: Mapping[str, Any], folder: Path, subject: str) -> Session:
+    """Build the session that the tables of a `session.toml` describe. Relative paths start at `folder`; error messages call the file `subject`.
 
     Raises:
         FaultyFileError: the tables have faults; one sentence for each.
     """
-    table = validate(SessionFile, tables, where)
+    table = validate(SessionFile, tables, subject)
     return Session(
         folder=folder,
         title=table.title,

@@ -197,10 +197,10 @@ class SessionFile(Schema):
                 yield f"camera '{camera.name}'.offset: {problem}; expected 0 or later; raise first_frame, and lower frames by the same amount."
 
     def _unknown_cameras(self) -> Iterator[str]:
-        known = [camera.name for camera in self.cameras]
+        names = [camera.name for camera in self.cameras]
         for name in self.initial.keypoints_px:
-            if name not in known:
-                yield f"initial.keypoints_px.{name}: no camera of that name; {nearest(name, known)}"
+            if name not in names:
+                yield f"initial.keypoints_px.{name}: no camera of that name; {nearest(name, names)}"
 
     def _incomplete_masks(self) -> Iterator[str]:
         if any(camera.masks for camera in self.cameras):

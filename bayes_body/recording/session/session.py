@@ -43,11 +43,11 @@ class CameraSpec:
     rotation: NDArray[np.float64]
     translation_m: NDArray[np.float64]
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, value: object) -> bool:
         """Compare all numbers. (The comparison that dataclass generates fails on arrays.)"""
-        if not isinstance(other, CameraSpec):
+        if not isinstance(value, CameraSpec):
             return NotImplemented
-        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return all(np.array_equal(getattr(self, f.name), getattr(value, f.name)) for f in fields(self))
 
 
 @dataclass(frozen=True)

@@ -111,10 +111,10 @@ def _sections(path: Path) -> dict[str, list[Line]]:
 def _fields(path: Path, lines: Sequence[Line], counts: Mapping[str, int]) -> dict[str, Line]:
     """The lines of a block by their first word. `counts` gives the number of words that must follow."""
     fields = {line.words[0].lower(): line for line in lines}
-    where = f"{path}: line {lines[0].number}" if lines else str(path)
+    entry = f"{path}: line {lines[0].number}" if lines else str(path)
     for key, count in counts.items():
         if key not in fields:
-            raise input_error(where, f"no {key}", f"{key} and {count} values after it", RESTORE)
+            raise input_error(entry, f"no {key}", f"{key} and {count} values after it", RESTORE)
         if len(fields[key].words) - 1 != count:
             problem = f"{key} with {len(fields[key].words) - 1} values"
             raise input_error(f"{path}: line {fields[key].number}", problem, f"{count}", RESTORE)
@@ -173,11 +173,11 @@ def _blocks(path: Path, lines: Sequence[Line]) -> Iterator[list[Line]]:
 def _bone(path: Path, block: list[Line], degrees: float) -> Bone:
     fields = _fields(path, block, {"name": 1, "direction": 3, "length": 1, "axis": 4})
     direction, length = (numbers(f"{path}: line {fields[key].number}", fields[key].words[1:]) for key in ("direction", "length"))
-    where, name = f"{path}: line {fields['length'].number}", fields["name"].words[1]
+    entry, name = f"{path}: line {fields['length'].number}", fields["name"].words[1]
     norm = float(np.linalg.norm(direction))
     if not (length[0] >= 0 and (norm > 0 or length[0] == 0)):
         problem = f"bone '{name[:40]}' of length {length[0]:g} along {direction.tolist()}"
-        raise input_error(where, problem, "a length of at least 0 along a direction", RESTORE)
+        raise input_error(entry, problem, "a length of at least 0 along a direction", RESTORE)
     angles = numbers(f"{path}: line {fields['axis'].number}", fields["axis"].words[1:4])
     dofs = tuple(word.lower() for word in fields["dof"].words[1:]) if "dof" in fields else ()
     if not set(dofs) <= {"rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
@@ -192,22 +192,24 @@ def _hierarchy(path: Path, lines: Sequence[Line], bones: Mapping[str, Bone]) -> 
     children: dict[str, list[str]] = {}
     for block in _blocks(path, lines):
         for line in block:
-            unknown = [word for word in line.words if word not in bones]
-            if unknown:
-                known = f"the bones of :bonedata: {', '.join(bones)}"
-                raise input_error(f"{path}: line {line.number}", f"the hierarchy has a bone '{unknown[0][:40]}' missing in :bonedata", known, RESTORE)
+            undeclared = [word for word in line.words if word not in bones]
+            if undeclared:
+                expected = f"the bones of :bonedata: {', '.join(bones)}"
+                raise input_error(
+                    f"{path}: line {line.number}", f"the hierarchy has a bone '{undeclared[0][:40]}' missing in :bonedata", expected, RESTORE
+                )
             children.setdefault(line.words[0], []).extend(line.words[1:])
     return _parents(path, children, bones)
 
 
 def _parents(path: Path, children: Mapping[str, list[str]], bones: Mapping[str, Bone]) -> dict[str, str]:
-    parents, ahead = {ROOT: ROOT}, [(child, ROOT) for child in reversed(children.get(ROOT, []))]
-    while ahead:
-        name, parent = ahead.pop()
+    parents, stack = {ROOT: ROOT}, [(child, ROOT) for child in reversed(children.get(ROOT, []))]
+    while stack:
+        name, parent = stack.pop()
         if name in parents:
             raise input_error(f"{path}: :hierarchy", f"the bone '{name}' twice", "each bone once", RESTORE)
         parents[name] = parent
-        ahead += [(child, name) for child in reversed(children.get(name, []))]
+        stack += [(child, name) for child in reversed(children.get(name, []))]
     if orphans := [name for name in bones if name not in parents]:
         raise input_error(f"{path}: :hierarchy", f"nothing leads from the root to {', '.join(orphans)[:200]}", "every bone of :bonedata", RESTORE)
     return parents

@@ -75,19 +75,19 @@ def _joints(path: Path, lines: list[str]) -> list[Joint]:
         raise input_error(f"{path}: line 1", f"'{lines[0].strip()[:40] if lines else ''}'", KIND, "name another file")
     joints: list[Joint] = []
     # Indices of the joints whose braces are still open.
-    ahead: list[int] = []
+    open_joints: list[int] = []
     for word in words:
         kind = word.text.upper()
-        if kind == "}" and ahead:
-            ahead.pop()
-        elif (kind == "ROOT" and not joints) or (kind in ("JOINT", "END") and ahead and not joints[ahead[-1]].name.endswith(END)):
-            joints.append(_joint(path, kind, words, joints, ahead[-1] if ahead else -1))
-            ahead.append(len(joints) - 1)
+        if kind == "}" and open_joints:
+            open_joints.pop()
+        elif (kind == "ROOT" and not joints) or (kind in ("JOINT", "END") and open_joints and not joints[open_joints[-1]].name.endswith(END)):
+            joints.append(_joint(path, kind, words, joints, open_joints[-1] if open_joints else -1))
+            open_joints.append(len(joints) - 1)
         else:
             raise _unexpected(path, word, "JOINT, End Site or }" if joints else "ROOT")
-    if ahead or not joints:
-        where = f"in '{joints[ahead[-1]].name}'" if joints else "before the first joint"
-        raise input_error(f"{path}: line {len(lines)}", f"cut off in the hierarchy, {where}", "a closing brace for each joint", RESTORE)
+    if open_joints or not joints:
+        end = f"in '{joints[open_joints[-1]].name}'" if joints else "before the first joint"
+        raise input_error(f"{path}: line {len(lines)}", f"cut off in the hierarchy, {end}", "a closing brace for each joint", RESTORE)
     return joints
 
 

@@ -91,11 +91,11 @@ def _records(content: Content, start: int) -> Iterator[tuple[int, str, int]]:
             return
         name = content.values("u1", start + 2, length).tobytes().decode("latin-1").strip().upper()
         follows = start + 2 + length
-        ahead = int(content.values("u2", follows, 1)[0])
+        skip = int(content.values("u2", follows, 1)[0])
         yield owner, name, follows + 2
-        if not ahead:
+        if not skip:
             return
-        start = follows + ahead
+        start = follows + skip
 
 
 def _array(content: Content, offset: int) -> NDArray[np.generic]:

@@ -102,7 +102,7 @@ def to_z_up(up: str) -> Float[np.ndarray, "3 3"]:
     return np.diag([1.0, -1.0, -1.0]) @ turn if up.startswith("-") else turn
 
 
-def known_unit(where: str, name: str) -> float:
+def known_unit(entry: str, name: str) -> float:
     """Metres per unit, for the unit that a file names, such as `mm` or `Meters`.
 
     Raises:
@@ -110,10 +110,10 @@ def known_unit(where: str, name: str) -> float:
     """
     spelled = {"millimeter": "mm", "centimeter": "cm", "meter": "m", "inch": "in", "inche": "in", "feet": "ft", "foot": "ft"}
     word = name.strip().lower().replace("metre", "meter")
-    known = next((unit for unit in (word, spelled.get(word.rstrip("s"), "")) if unit in UNITS), None)
-    if known is None:
-        raise input_error(where, f"'{name.strip()[:40]}'", f"one of {', '.join(UNITS)}", "correct it, or give the unit")
-    return UNITS[known]
+    unit = next((unit for unit in (word, spelled.get(word.rstrip("s"), "")) if unit in UNITS), None)
+    if unit is None:
+        raise input_error(entry, f"'{name.strip()[:40]}'", f"one of {', '.join(UNITS)}", "correct it, or give the unit")
+    return UNITS[unit]
 
 
 def _check_height(path: Path, capture: Capture, metres: float, turn: Float[np.ndarray, "3 3"]) -> None:
@@ -128,8 +128,8 @@ def _check_height(path: Path, capture: Capture, metres: float, turn: Float[np.nd
 def _extent(positions: Float[np.ndarray, "frame joint 3"]) -> float:
     """Height from the lowest to the highest joint while upright: the 95th percentile over frames. 0 if no two joints are known."""
     heights = positions[:: max(len(positions) // SAMPLED, 1), :, 2]
-    known = heights[~np.isnan(heights).all(axis=1)]
-    return float(np.percentile(np.nanmax(known, axis=1) - np.nanmin(known, axis=1), 95)) if len(known) else 0.0
+    heights_of_frames = heights[~np.isnan(heights).all(axis=1)]
+    return float(np.percentile(np.nanmax(heights_of_frames, axis=1) - np.nanmin(heights_of_frames, axis=1), 95)) if len(heights_of_frames) else 0.0
 
 
 def _no_height(path: Path, height: float, metres: float, bounds: tuple[float, float]) -> InputError:

@@ -177,7 +177,7 @@ def landmarks(motion: Motion, names: Mapping[str, str] | None = None) -> Places:
     joints = {name: name for name in (*MARKERS, *EXTRA) if name in motion.joints} if known_markers(motion.joints) else reading.joints
     reading = Reading(reading.dialect, joints | overrides)
     if reading.missing:
-        raise _unknown(motion, reading)
+        raise _missing_joints_error(motion, reading)
     places = {landmark: motion.positions_m[:, motion.joints.index(joint)] for landmark, joint in reading.joints.items()}
     if reading.dialect.head_is_low and "head" not in overrides:
         places["head"] = _crown(motion, reading, places)
@@ -196,11 +196,13 @@ def _check_names(motion: Motion, names: Mapping[str, str]) -> None:
             )
 
 
-def _unknown(motion: Motion, reading: Reading) -> Exception:
+def _missing_joints_error(motion: Motion, reading: Reading) -> Exception:
     listing = f"{len(motion.joints)} names ({', '.join(motion.joints[:LISTED])}{', ...' if len(motion.joints) > LISTED else ''})"
-    known = "; ".join(dialect.title for dialect in DIALECTS)
+    dialects = "; ".join(dialect.title for dialect in DIALECTS)
     missing = ", ".join(reading.missing)
-    return input_error(motion.name, f"no {missing} among its {listing}", f"the names of one of: {known}", f"give the joints for {missing} with names")
+    return input_error(
+        motion.name, f"no {missing} among its {listing}", f"the names of one of: {dialects}", f"give the joints for {missing} with names"
+    )
 
 
 def _crown(motion: Motion, reading: Reading, places: Places) -> Float[np.ndarray, "frame 3"]:

@@ -31,44 +31,44 @@ def resample(motion: Motion, fps: float) -> Motion:
     if count > MOST_FRAMES:
         raise input_error("fps", f"{fps:g}, {count} frames", f"at most {MOST_FRAMES} frames", "give a lower rate")
     places = np.arange(count) * (motion.fps / fps)
-    near = np.rint(places)
-    places = np.where(np.abs(places - near) < SAME * np.maximum(near, 1), near, places).clip(0, last)
-    before = np.minimum(places.astype(int), max(last - 1, 0))
-    share = places - before
-    rotations = None if motion.rotations is None else _turned(motion.rotations, before, share)
-    return dataclasses.replace(motion, fps=float(fps), positions_m=_placed(motion.positions_m, before, share), rotations=rotations)
+    nearest = np.rint(places)
+    places = np.where(np.abs(places - nearest) < SAME * np.maximum(nearest, 1), nearest, places).clip(0, last)
+    lower = np.minimum(places.astype(int), max(last - 1, 0))
+    share = places - lower
+    rotations = None if motion.rotations is None else _turned(motion.rotations, lower, share)
+    return dataclasses.replace(motion, fps=float(fps), positions_m=_placed(motion.positions_m, lower, share), rotations=rotations)
 
 
 def _placed(
-    positions: Float[np.ndarray, "old joint 3"], before: Int[np.ndarray, " frame"], share: Float[np.ndarray, " frame"]
+    positions: Float[np.ndarray, "old joint 3"], lower: Int[np.ndarray, " frame"], share: Float[np.ndarray, " frame"]
 ) -> Float[np.ndarray, "frame joint 3"]:
     """Hermite interpolation between two frames. The slope at a frame is the mean of the velocities on both sides, or the one that is known."""
-    after = np.minimum(before + 1, len(positions) - 1)
+    upper = np.minimum(lower + 1, len(positions) - 1)
     t = share[:, None, None]
-    p, q = positions[before], positions[after]
+    p, q = positions[lower], positions[upper]
     slopes = _slopes(positions)
-    u, v = slopes[before], slopes[after]
+    u, v = slopes[lower], slopes[upper]
     between = p + t * (u + t * (3 * (q - p) - 2 * u - v + t * (2 * (p - q) + u + v)))
     return np.where(t == 0, p, np.where(t == 1, q, between))
 
 
 def _slopes(positions: Float[np.ndarray, "frame joint 3"]) -> Float[np.ndarray, "frame joint 3"]:
     steps = np.diff(positions, axis=0)
-    none = np.full_like(positions[:1], np.nan)
-    behind, ahead = np.concatenate([none, steps]), np.concatenate([steps, none])
-    return np.where(np.isnan(behind), ahead, np.where(np.isnan(ahead), behind, (behind + ahead) / 2))
+    no_step = np.full_like(positions[:1], np.nan)
+    backward, forward = np.concatenate([no_step, steps]), np.concatenate([steps, no_step])
+    return np.where(np.isnan(backward), forward, np.where(np.isnan(forward), backward, (backward + forward) / 2))
 
 
 def _turned(
-    rotations: Float[np.ndarray, "old joint 3 3"], before: Int[np.ndarray, " frame"], share: Float[np.ndarray, " frame"]
+    rotations: Float[np.ndarray, "old joint 3 3"], lower: Int[np.ndarray, " frame"], share: Float[np.ndarray, " frame"]
 ) -> Float[np.ndarray, "frame joint 3 3"]:
-    after = np.minimum(before + 1, len(rotations) - 1)
-    out = rotations[np.where(share == 1, after, before)].copy()
+    upper = np.minimum(lower + 1, len(rotations) - 1)
+    out = rotations[np.where(share == 1, upper, lower)].copy()
     frames = np.flatnonzero((share > 0) & (share < 1))
-    start, end = rotations[before[frames]], rotations[after[frames]]
-    unknown = np.isnan(start).any(axis=(-1, -2)) | np.isnan(end).any(axis=(-1, -2))
-    start, end = (Rotation.from_matrix(np.where(unknown[..., None, None], np.eye(3), R).reshape(-1, 3, 3)) for R in (start, end))
+    start, end = rotations[lower[frames]], rotations[upper[frames]]
+    is_missing = np.isnan(start).any(axis=(-1, -2)) | np.isnan(end).any(axis=(-1, -2))
+    start, end = (Rotation.from_matrix(np.where(is_missing[..., None, None], np.eye(3), R).reshape(-1, 3, 3)) for R in (start, end))
     turn = (start.inv() * end).as_rotvec() * np.repeat(share[frames], out.shape[1])[:, None]
     out[frames] = (start * Rotation.from_rotvec(turn)).as_matrix().reshape(-1, *out.shape[1:])
-    out[frames[:, None], np.arange(out.shape[1])] = np.where(unknown[..., None, None], np.nan, out[frames])
+    out[frames[:, None], np.arange(out.shape[1])] = np.where(is_missing[..., None, None], np.nan, out[frames])
     return out

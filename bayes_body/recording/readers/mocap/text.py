@@ -45,11 +45,11 @@ def read_text(path: Path, kind: str) -> str:
         return content.decode("latin-1")
 
 
-def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or restore the file") -> Float[np.ndarray, " word"]:
+def numbers(entry: str, words: Sequence[str], remedy: str = "correct it, or restore the file") -> Float[np.ndarray, " word"]:
     """The words as numbers.
 
     Args:
-        where: the file and the line, for the message.
+        entry: the file and the line, for the message.
         words: the words of the line.
         remedy: what the user can do.
 
@@ -59,14 +59,14 @@ def numbers(where: str, words: Sequence[str], remedy: str = "correct it, or rest
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError:
-        raise input_error(where, f"'{_first_bad(words)[:40]}'", "numbers", remedy) from None
+        raise input_error(entry, f"'{_first_bad(words)[:40]}'", "numbers", remedy) from None
     bad = ~(np.abs(values) <= LARGEST_NUMBER)
     if bad.any():
-        raise input_error(where, words[int(bad.argmax())][:40], f"finite numbers, at most {LARGEST_NUMBER:g}", remedy)
+        raise input_error(entry, words[int(bad.argmax())][:40], f"finite numbers, at most {LARGEST_NUMBER:g}", remedy)
     return values
 
 
-def table(where: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Float[np.ndarray, "row word"]:
+def table(entry: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Float[np.ndarray, "row word"]:
     """Rows of words, all of the same length, as numbers; `lines` are their line numbers in the file.
 
     Raises:
@@ -78,8 +78,8 @@ def table(where: str, rows: Sequence[Sequence[str]], lines: Sequence[int]) -> Fl
         if (np.abs(values) <= LARGEST_NUMBER).all():
             return values
     for row, line in zip(rows, lines, strict=True):
-        numbers(f"{where}: line {line}", row)
-    raise InputError(f"{where}: not a table of numbers; restore the file.")
+        numbers(f"{entry}: line {line}", row)
+    raise InputError(f"{entry}: not a table of numbers; restore the file.")
 
 
 def _first_bad(words: Sequence[str]) -> str:
