@@ -111,8 +111,8 @@ FORMER_NAMES = {
 
 def evidence_of(definition: Definition) -> list[str]:
     """Return what the definition's likelihoods compare the body with: `registry.EVIDENCE`, or `other` for a plugin's that does not say."""
-    read = {what for term in definition.likelihoods for what in find("likelihood", term.kind).evidence(term.options)}
-    return sorted(read, key=lambda what: (*EVIDENCE, OTHER).index(what))
+    read = {evidence for term in definition.likelihoods for evidence in find("likelihood", term.kind).evidence(term.options)}
+    return sorted(read, key=lambda evidence: (*EVIDENCE, OTHER).index(evidence))
 
 
 def current_name(name: str) -> str:
@@ -136,31 +136,31 @@ def load_definition(name: str | Path) -> Definition:
     if today != str(name):
         warnings.warn(f"the model '{name}' is now called '{today}'; the former name will not work in the next release", RunWarning, stacklevel=2)
     path = _locate(today, "", "model", Path())
-    where = path.name if path.parent == definitions_folder() else str(path)
+    subject = path.name if path.parent == definitions_folder() else str(path)
     # `read_toml` comes first: it raises an InputError if there is no such file.
     tables = read_toml(path)
-    return _read(path.stem, path.read_text(encoding="utf-8-sig"), tables, _Collector(where, path.parent))
+    return _read(path.stem, path.read_text(encoding="utf-8-sig"), tables, _Collector(subject, path.parent))
 
 
-def parse_definition(name: str, text: str, body_text: str | None, where: str = "") -> Definition:
+def parse_definition(name: str, text: str, body_text: str | None, subject: str = "") -> Definition:
     """Read a definition from texts, such as those that a run stores, which may differ from the files.
 
     Args:
         name: name of the definition.
         text: text of the model file.
         body_text: text of the body file; without it, the body that the model names is looked up.
-        where: the name of the text in error messages; `name` by default.
+        subject: the name of the text in error messages; `name` by default.
 
     Raises:
         InputError: the text is not TOML.
         FaultyFileError: one sentence for each thing in it that is wrong.
     """
-    where = where or name
-    return _read(name, text, parse_toml(text, where), _Collector(where, Path(), body_text or None))
+    subject = subject or name
+    return _read(name, text, parse_toml(text, subject), _Collector(subject, Path(), body_text or None))
 
 
 def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") -> Definition:
-    file = collect.attempt(lambda: validate(_File, data, collect.where))
+    file = collect.attempt(lambda: validate(_File, data, collect.subject))
     # Read directly from the tables, so that a fault in one place does not hide those in another.
     placement, table = collect.placement(data.get("body"))
     body_name, body_text, body = collect.body(table)
@@ -206,8 +206,8 @@ def _locate(name: str, folder: str, kind: str, beside: Path) -> Path:
 class _Collector:
     """Reads the terms of one file and collects all faults, so that a user sees them together."""
 
-    def __init__(self, where: str, folder: Path, body_text: str | None = None):
-        self.where, self.folder, self.body_text = where, folder, body_text
+    def __init__(self, subject: str, folder: Path, body_text: str | None = None):
+        self.subject, self.folder, self.body_text = subject, folder, body_text
         self.sentences: list[str] = []
 
     def placement(self, table: Any) -> tuple[str, Any]:
@@ -216,9 +216,9 @@ class _Collector:
             return PLACEMENTS[0], table
         body_table = {key: value for key, value in table.items() if key != "placement"}
         if table["placement"] not in PLACEMENTS:
-            what, expected = f"{self.where}: body.placement", " or ".join(f'"{name}"' for name in PLACEMENTS)
+            setting, expected = f"{self.subject}: body.placement", " or ".join(f'"{name}"' for name in PLACEMENTS)
             remedy = nearest(str(table["placement"]), PLACEMENTS)
-            self.sentences.append(str(input_error(what, repr(table["placement"]), expected, remedy)))
+            self.sentences.append(str(input_error(setting, repr(table["placement"]), expected, remedy)))
         return str(table["placement"]), body_table
 
     def body(self, table: Any) -> tuple[str, str, BodySchema | None]:
@@ -226,23 +226,23 @@ class _Collector:
         if not isinstance(table, dict):
             return "", "", None
         if "name" not in table:
-            return "written out in the model", "", self.attempt(lambda: validate(BodySchema, table, f"{self.where}: body"))
+            return "written out in the model", "", self.attempt(lambda: validate(BodySchema, table, f"{self.subject}: body"))
         name = table["name"]
         for key in table:
             if key != "name":
-                self.sentences.append(f"{self.where}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
+                self.sentences.append(f"{self.subject}: body.{key}: unknown key beside a body's name; {nearest(key, ['name'])}")
         if not isinstance(name, str):
-            self.sentences.append(str(input_error(f"{self.where}: body.name", str(name), "a string", "put the name of a body in double quotes")))
+            self.sentences.append(str(input_error(f"{self.subject}: body.name", str(name), "a string", "put the name of a body in double quotes")))
             return "", "", None
         if self.body_text is not None:
             return name, self.body_text, self._parsed_body(name, self.body_text)
-        body = self.attempt(lambda: load_body(name, self.folder), f"{self.where}: body.name: ")
+        body = self.attempt(lambda: load_body(name, self.folder), f"{self.subject}: body.name: ")
         text = _locate(name, "bodies", "body", self.folder).read_text(encoding="utf-8-sig") if body else ""
         return name, text, body
 
     def _parsed_body(self, name: str, text: str) -> BodySchema | None:
-        where = f"{self.where}: the body '{name}'"
-        return self.attempt(lambda: validate(BodySchema, parse_toml(text, where), where))
+        subject = f"{self.subject}: the body '{name}'"
+        return self.attempt(lambda: validate(BodySchema, parse_toml(text, subject), subject))
 
     def term(self, room: Room, place: str, table: TermTable) -> TermDefinition:
         """Return a term with its options, validated by the schema registered for its kind."""
@@ -254,13 +254,13 @@ class _Collector:
         observation = options.pop("observation", {})
         read = self._options("likelihood", place, table.kind, options)
         # A kind that does not exist is reported only once.
-        known = table.kind in names("likelihood")
-        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if known else None
+        is_registered = table.kind in names("likelihood")
+        prepared = self._options("observation", f"{place}.observation", table.kind, observation) if is_registered else None
         return LikelihoodDefinition(table.kind, read, prepared)
 
     def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
-        term = self.attempt(lambda: find(room, kind), f"{self.where}: {place}.kind: ")
-        return self.attempt(lambda: validate(term.options, options, f"{self.where}: {place}")) if term else None
+        term = self.attempt(lambda: find(room, kind), f"{self.subject}: {place}.kind: ")
+        return self.attempt(lambda: validate(term.options, options, f"{self.subject}: {place}")) if term else None
 
     def attempt[Result](self, action: Callable[[], Result], prefix: str = "") -> Result | None:
         """Return the action's result. If an input is wrong, collect its sentences and return None."""

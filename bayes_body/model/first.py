@@ -53,7 +53,7 @@ class First(NamedTuple):
         """Return the distribution around another pose, or around several of which it is the most likely one."""
         return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}), draws=draws)
 
-    def known(self, state: State) -> "First":
+    def make_certain(self, state: State) -> "First":
         """Return the distribution of one certain state."""
         settled = replace(self.transition, first=None)
         return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None)
@@ -61,21 +61,21 @@ class First(NamedTuple):
     def sample(self, key: Key) -> State:
         """Draw a state."""
         if self.draws is None:
-            return self.near(key, self.pose)
+            return self.draw_near(key, self.pose)
         pose_key, near_key = jax.random.split(key)
-        return self.near(near_key, jax.random.choice(pose_key, self.draws))
+        return self.draw_near(near_key, jax.random.choice(pose_key, self.draws))
 
     def start(self, key: Key, count: int) -> State:
         """Draw `count` states, with a leading particle axis. A certain pose needs no random numbers. Of several, each is taken equally often."""
         if self.is_point:
             return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), dict(self.mode))
         if self.draws is None:
-            return _near(self, jax.random.split(key, count), jnp.broadcast_to(self.pose, (count, *self.pose.shape)))
+            return _draw_all_near(self, jax.random.split(key, count), jnp.broadcast_to(self.pose, (count, *self.pose.shape)))
         order_key, near_key = jax.random.split(key)
         poses = jax.random.permutation(order_key, self.draws)[np.arange(count) % len(self.draws)]
-        return _near(self, jax.random.split(near_key, count), poses)
+        return _draw_all_near(self, jax.random.split(near_key, count), poses)
 
-    def near(self, key: Key, pose: Pose) -> State:
+    def draw_near(self, key: Key, pose: Pose) -> State:
         """Draw a state near a pose."""
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
@@ -86,9 +86,9 @@ class First(NamedTuple):
 
 
 @jax.jit
-def _near(first: First, keys: Keys, poses: Float[Array, "draw dof"]) -> State:
+def _draw_all_near(first: First, keys: Keys, poses: Float[Array, "draw dof"]) -> State:
     # `first` is an argument. If it were a constant, numpyro would check its values, with many small programs.
-    return jax.vmap(lambda key, pose: first.near(key, pose))(keys, poses)
+    return jax.vmap(lambda key, pose: first.draw_near(key, pose))(keys, poses)
 
 
 def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) -> First:
@@ -98,6 +98,6 @@ def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) 
         InputError: a key of the table matches no dof.
     """
     topology = body.skeleton.topology
-    known = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
-    sd = device_array([known.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
+    deviations = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
+    sd = device_array([deviations.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
     return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}))

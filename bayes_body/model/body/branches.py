@@ -48,14 +48,14 @@ def nearest_branch(topology: Topology, pose: Pose, reference: Pose) -> Branch:
             flip = jnp.array([1.0, -1.0, 1.0]), jnp.array([np.pi, 0.0 if motions[0].axis == motions[2].axis else np.pi, np.pi])
             angles = pose[dofs]
             flipped_angles = flip[0] * angles + flip[1]
-            far = jnp.sum(_apart(flipped_angles, reference[dofs]) ** 2) < jnp.sum(_apart(angles, reference[dofs]) ** 2)
-            sign = sign.at[dofs].set(jnp.where(far, flip[0], 1.0))
-            offset = offset.at[dofs].set(jnp.where(far, flip[1], 0.0))
+            is_flipped = jnp.sum(_differences(flipped_angles, reference[dofs]) ** 2) < jnp.sum(_differences(angles, reference[dofs]) ** 2)
+            sign = sign.at[dofs].set(jnp.where(is_flipped, flip[0], 1.0))
+            offset = offset.at[dofs].set(jnp.where(is_flipped, flip[1], 0.0))
     turns = TURN * jnp.round((reference - (sign * pose + offset)) / TURN)
     return Branch(sign, offset + jnp.where(np.array(topology.angular), turns, 0.0))
 
 
-def _apart(angles: Array, reference: Array) -> Array:
+def _differences(angles: Array, reference: Array) -> Array:
     """Return the differences, at most half a turn."""
     differences = angles - reference
     return differences - TURN * jnp.round(differences / TURN)

@@ -137,15 +137,15 @@ def build_body(name: str, schema: BodySchema, shape: Shape = Shape()) -> Body:
 
 def _check_names(name: str, schema: BodySchema, shape: Shape) -> None:
     parts = [part.name for part in schema.parts]
-    for field, measures, known in (
+    for field, measures, allowed in (
         ("lengths_m", shape.lengths_m, schema.lengths_of_height),
         ("radii_m", shape.radii_m, parts),
         ("outline_radii_m", shape.outline_radii_m, parts),
         ("sections", shape.sections, parts),
     ):
         for key in measures:
-            if key not in known:
-                raise input_error(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, known))
+            if key not in allowed:
+                raise input_error(f"subject.{field}.{key}", "no such name", f"a name of the body '{name}'", nearest(key, allowed))
 
 
 def _pairs(schema: BodySchema) -> tuple[tuple[int, int], ...]:

@@ -72,7 +72,7 @@ class _Program(NamedTuple):
         turns: the rotations, in order.
         ancestors: for each round, the frame with which a joint's is composed; -1 for none.
         moves: (joint, dof); 1 if the dof moves the joint.
-        joint, before, axis, sign, shift: for each dof, its joint, the number of its joint's rotations before it, and its effect.
+        joint, turns_before, axis, sign, shift: for each dof, its joint, the number of its joint's rotations before it, and its effect.
     """
 
     shifts: tuple[_Shifts | None, ...]
@@ -80,7 +80,7 @@ class _Program(NamedTuple):
     ancestors: tuple[Int[np.ndarray, " joint"], ...]
     moves: Float[np.ndarray, "joint dof"]
     joint: Int[np.ndarray, " dof"]
-    before: Int[np.ndarray, " dof"]
+    turns_before: Int[np.ndarray, " dof"]
     axis: Int[np.ndarray, " dof"]
     sign: Float[np.ndarray, " dof"]
     shift: Bool[np.ndarray, " dof"]
@@ -91,12 +91,12 @@ def _program(topology: Topology) -> _Program:
     joints, dofs = len(topology.parents), len(topology.dof_names)
     most = max(sum(not motion.is_shift for motion in motions) for motions in topology.motions)
     shifts, turns = np.zeros((most + 1, joints, 3, dofs)), [_no_turns(joints) for _ in range(most)]
-    joint, before = np.zeros(dofs, INDEX), np.zeros(dofs, INDEX)
+    joint, turns_before = np.zeros(dofs, INDEX), np.zeros(dofs, INDEX)
     moves = np.zeros((joints, dofs))
     for j, motions in enumerate(topology.motions):
         turned = 0
         for motion in motions:
-            joint[motion.dof], before[motion.dof], moves[j, motion.dof] = j, turned, 1
+            joint[motion.dof], turns_before[motion.dof], moves[j, motion.dof] = j, turned, 1
             if motion.is_shift:
                 shifts[turned, j, motion.axis, motion.dof] = motion.sign
             else:
@@ -106,7 +106,7 @@ def _program(topology: Topology) -> _Program:
     for ancestor in rounds:
         moves += np.where(ancestor[:, None] >= 0, moves[ancestor], 0)
     _, axis, sign, shift = (np.array(column) for column in zip(*sorted(motion for motions in topology.motions for motion in motions), strict=True))
-    return _Program(tuple(map(_shifts, shifts)), tuple(turns), rounds, moves, joint, before, axis.astype(INDEX), sign, shift)
+    return _Program(tuple(map(_shifts, shifts)), tuple(turns), rounds, moves, joint, turns_before, axis.astype(INDEX), sign, shift)
 
 
 def _shifts(signs: Float[np.ndarray, "joint 3 dof"]) -> _Shifts | None:
@@ -171,10 +171,10 @@ def _stages(skeleton: Skeleton, program: _Program, pose: Pose) -> list[Transform
 
 def _above(T: Transform, ancestor: Int[np.ndarray, " joint"]) -> Transform:
     """The frames of the ancestors; the world's if there is none."""
-    known = (ancestor >= 0)[:, None]
+    has_ancestor = (ancestor >= 0)[:, None]
     frames = transforms.pick(T, np.maximum(ancestor, 0))
     eye = jnp.eye(3, dtype=T.origin.dtype)
-    return Transform(jnp.where(known[..., None], frames.rotation, eye), jnp.where(known, frames.origin, 0))
+    return Transform(jnp.where(has_ancestor[..., None], frames.rotation, eye), jnp.where(has_ancestor, frames.origin, 0))
 
 
 @partial(forward_kinematics.defjvp, symbolic_zeros=True)
@@ -201,8 +201,8 @@ def _by_pose(topology: Topology, T: Transform, stages: list[Transform], speed: P
     program, dtype = _program(topology), speed.dtype
     above = transforms.pick(_above(T, np.array(topology.parents, INDEX)), program.joint)
     rotations, origins = (jnp.stack(column) for column in zip(*stages, strict=True))
-    axis = transforms.turn(above.rotation, rotations[program.before, program.joint, :, program.axis])
-    place = transforms.apply(above, origins[program.before, program.joint])
+    axis = transforms.turn(above.rotation, rotations[program.turns_before, program.joint, :, program.axis])
+    place = transforms.apply(above, origins[program.turns_before, program.joint])
     step = (program.sign.astype(dtype) * speed)[:, None] * axis
     shifts = program.shift[:, None]
     # Angular velocity, and the velocity of the point at the world's origin.

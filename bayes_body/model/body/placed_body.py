@@ -56,13 +56,13 @@ def _joints_in_parts(skeleton: Skeleton, part_joints: tuple[int, ...], owners: t
     return Transform(transforms.multiply(inverse, at_zero.rotation), transforms.turn(inverse, at_zero.origin - part.origin))
 
 
-def require(body: Body, variable: str, what: str, alternative: str) -> None:
+def require(body: Body, variable: str, subject: str, alternative: str) -> None:
     """Check that the body is placed by this variable.
 
     Args:
         body: the body.
         variable: `pose` or `parts`.
-        what: what needs it, such as "dynamics 'diffusion'".
+        subject: what needs it, such as "dynamics 'diffusion'".
         alternative: the term that does the same for the other placement.
 
     Raises:
@@ -71,7 +71,7 @@ def require(body: Body, variable: str, what: str, alternative: str) -> None:
     if body.variable != variable:
         placement = {POSE: "angles", PARTS: "parts"}
         setting, expected = f'[body] placement = "{placement[body.variable]}"', f'placement = "{placement[variable]}"'
-        raise input_error(what, setting, expected, f"change it, or take {alternative}")
+        raise input_error(subject, setting, expected, f"change it, or take {alternative}")
 
 
 @jax.jit

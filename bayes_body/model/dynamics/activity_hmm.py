@@ -70,11 +70,11 @@ def _emissions(arrays: ActivityArrays, features: Array) -> Float[Array, " state"
 
 
 def _conditional(arrays: ActivityArrays, previous: State) -> dict[str, Distribution]:
-    ahead = previous[BELIEF] @ arrays.transition
+    belief = previous[BELIEF] @ arrays.transition
     emitted = MultivariateNormal(arrays.locations, scale_tril=arrays.factor)
     step = previous[POSITION] - previous.get(BEFORE, previous[POSITION])
     distributions: dict[str, Distribution] = {
-        FEATURES: MixtureSameFamily(Categorical(probs=ahead), emitted),
+        FEATURES: MixtureSameFamily(Categorical(probs=belief), emitted),
         POSITION: _normal(previous[POSITION] + arrays.momentum * step, arrays.sd[POSITION]),
         ORIENTATION: _normal(previous[ORIENTATION], arrays.sd[ORIENTATION]),
     }
@@ -85,10 +85,10 @@ def _conditional(arrays: ActivityArrays, previous: State) -> dict[str, Distribut
     return distributions
 
 
-def _carry(arrays: ActivityArrays, previous: State, known: State) -> dict[str, Array]:
+def _carry(arrays: ActivityArrays, previous: State, sampled: State) -> dict[str, Array]:
     """Add the probabilities of the states, and the position that the next step starts from."""
-    ahead = jnp.log(previous[BELIEF] @ arrays.transition + jnp.finfo(arrays.mean.dtype).tiny)
-    return {**known, BELIEF: jax.nn.softmax(ahead + _emissions(arrays, known[FEATURES])), BEFORE: previous[POSITION]}
+    log_belief = jnp.log(previous[BELIEF] @ arrays.transition + jnp.finfo(arrays.mean.dtype).tiny)
+    return {**sampled, BELIEF: jax.nn.softmax(log_belief + _emissions(arrays, sampled[FEATURES])), BEFORE: previous[POSITION]}
 
 
 def _perturbation(arrays: ActivityArrays, state: State, scale: Scalar) -> dict[str, Distribution]:

@@ -53,9 +53,9 @@ class Arguments(NamedTuple):
         step_s: time between frames.
         sd: noise of the pose.
         velocity_sd: noise of the velocity.
-        kept: share of the velocity that is kept from frame to frame.
+        retention: share of the velocity that is kept from frame to frame.
         pull: change of the velocity from frame to frame for each unit of the distance to the pose at rest.
-        rest: the pose at rest.
+        rest_pose: the pose at rest.
         low: lower limits, or -∞.
         high: upper limits, or ∞.
     """
@@ -63,9 +63,9 @@ class Arguments(NamedTuple):
     step_s: Scalar
     sd: Pose
     velocity_sd: Pose
-    kept: Pose
+    retention: Pose
     pull: Pose
-    rest: Pose
+    rest_pose: Pose
     low: Pose
     high: Pose
 
@@ -99,16 +99,16 @@ class Options(Schema):
     """[1/s] frame rate to which these values apply."""
 
 
-def _conditional(its: Arguments, previous: State) -> dict[str, Distribution]:
+def _conditional(arguments: Arguments, previous: State) -> dict[str, Distribution]:
     pose, velocity = previous[POSE], previous[VELOCITY]
-    predicted = jnp.clip(pose + its.step_s * velocity, its.low, its.high)
-    onward = its.kept * velocity - its.pull * (pose - its.rest)
-    return {POSE: TruncatedWalk(predicted, its.sd, its.low, its.high), VELOCITY: _normal(onward, its.velocity_sd)}
+    predicted = jnp.clip(pose + arguments.step_s * velocity, arguments.low, arguments.high)
+    onward = arguments.retention * velocity - arguments.pull * (pose - arguments.rest_pose)
+    return {POSE: TruncatedWalk(predicted, arguments.sd, arguments.low, arguments.high), VELOCITY: _normal(onward, arguments.velocity_sd)}
 
 
-def _perturbation(its: Arguments, state: State, scale: Scalar) -> dict[str, Distribution]:
-    walk = TruncatedWalk(state[POSE], its.sd * scale, its.low, its.high)
-    return {POSE: walk, VELOCITY: _normal(state[VELOCITY], its.velocity_sd * scale)}
+def _perturbation(arguments: Arguments, state: State, scale: Scalar) -> dict[str, Distribution]:
+    walk = TruncatedWalk(state[POSE], arguments.sd * scale, arguments.low, arguments.high)
+    return {POSE: walk, VELOCITY: _normal(state[VELOCITY], arguments.velocity_sd * scale)}
 
 
 def _normal(centre: Array, sd: Array) -> Distribution:
@@ -165,9 +165,9 @@ def _arguments(options: Options, body: Body, fps: float) -> tuple[Arguments, Pos
         step_s=array(1 / fps),
         sd=array(sd * math.sqrt(options.at_fps / fps)),
         velocity_sd=array(velocity.sd),
-        kept=array(velocity.decay),
+        retention=array(velocity.decay),
         pull=array(pull),
-        rest=array([math.radians(rest_deg.get(name, 0.0)) for name in dofs]),
+        rest_pose=array([math.radians(rest_deg.get(name, 0.0)) for name in dofs]),
         low=body.skeleton.low,
         high=body.skeleton.high,
     )

@@ -75,8 +75,8 @@ class BoxTransform(Transform):
         """As for numpyro's transforms."""
         return (self.low, self.high), (("low", "high"), {})
 
-    def __eq__(self, other: object) -> Any:
-        return isinstance(other, BoxTransform) and jnp.array_equal(self.low, other.low) & jnp.array_equal(self.high, other.high)
+    def __eq__(self, value: object) -> Any:
+        return isinstance(value, BoxTransform) and jnp.array_equal(self.low, value.low) & jnp.array_equal(self.high, value.high)
 
     __hash__ = ParameterFreeTransform.__hash__
 

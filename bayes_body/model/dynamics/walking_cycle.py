@@ -167,8 +167,8 @@ def _begin(walk: _Walk, body: Body, first: State) -> dict[str, Array]:
     optional = {"residual": residuals[best], "heading": pose[3:4]}
     state |= {name: value for name, value in optional.items() if name in walk.sd}
     # The transition to frame 0 walks one step. The first pose is that of frame 0, so the state before it is a step behind.
-    ahead = _conditional(walk, state)
-    state |= {name: 2 * state[name] - ahead[name].mean for name in ("phase", "position")}
+    next_step = _conditional(walk, state)
+    state |= {name: 2 * state[name] - next_step[name].mean for name in ("phase", "position")}
     return state | _derive(walk, state)
 
 

@@ -36,7 +36,7 @@ class Contour(NamedTuple):
     """Samples of every part's contour: coefficients (t, s), and their derivatives along the contour."""
 
     samples: Samples
-    along: Samples
+    tangents: Samples
 
 
 class Boundaries(NamedTuple):
@@ -69,7 +69,7 @@ def boundaries(body: Body, rig: Camera, contour: Contour, in_camera: RigPatches,
 
 def _direction(camera: Camera, in_camera: Float[Array, "4 part 3"], contour: Contour) -> tuple[Float[Array, "part sample"], tuple[Array, Array]]:
     """Depth of each sample, metres, and the unit normal of its contour in the image. The effect of the lens's distortion on it is negligible."""
-    (t, s), (dt, ds), patches = contour.samples, contour.along, by_component(in_camera)
+    (t, s), (dt, ds), patches = contour.samples, contour.tangents, by_component(in_camera)
     X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in patches)
     to_x, to_y, to_z = (dt * (p.along + s * p.taper) + ds * (p.across + t * p.taper) for p in patches)
     # The contour's direction in the image, up to a factor.
@@ -101,8 +101,8 @@ def _shown(body: Body, rig: Camera, in_camera: RigPatches, pixels: Pixels[Grid],
     inside = jax.vmap(_insides)(forms, columns, rows)
     nearer = depths.reshape(cameras, 1, -1) - _axis_depths(in_camera, (ends.u - middles[0], ends.v - middles[1]), columns, rows)
     covers = _share(inside, SOFT_PX, visibility) * _share(nearer - MARGIN_M, SOFT_M, visibility)
-    others = jnp.asarray(1 - np.repeat(np.eye(parts), samples, axis=1), depths.dtype)
-    return jnp.prod(1 - covers * others, axis=1).reshape(depths.shape)
+    is_other = jnp.asarray(1 - np.repeat(np.eye(parts), samples, axis=1), depths.dtype)
+    return jnp.prod(1 - covers * is_other, axis=1).reshape(depths.shape)
 
 
 def _insides(forms: Float[Array, "coefficient 4 part"], columns: Float[Array, " point"], rows: Float[Array, " point"]) -> Float[Array, "part point"]:
@@ -118,6 +118,6 @@ def _axis_depths(
     """The depth of each part's axis where it is nearest to a point in the image, metres."""
     (u0, u1), (v0, v1) = ((x[:, 0, :, None], x[:, 1, :, None]) for x in ends)
     du, dv = u1 - u0, v1 - v0
-    along = ((columns[:, None] - u0) * du + (rows[:, None] - v0) * dv) / (du * du + dv * dv + 1.0)
+    fraction = ((columns[:, None] - u0) * du + (rows[:, None] - v0) * dv) / (du * du + dv * dv + 1.0)
     base, reach = in_camera[:, 0, :, 2, None], in_camera[:, 1, :, 2, None]
-    return base + jnp.clip(along, 0.0, 1.0) * reach
+    return base + jnp.clip(fraction, 0.0, 1.0) * reach

@@ -76,8 +76,8 @@ def phase_and_log_amplitude(even: Array, odd: Array) -> tuple[Array, Array]:
     """φ − π/2, in [−π/2, π/2], and ρ."""
     sign = jnp.where(odd < 0, -1.0, 1.0)
     # For a response of zero any phase will do, as long as its gradient is finite.
-    nothing = (even == 0) & (odd == 0)
-    phase = jnp.arctan2(jnp.where(nothing, 0.0, even * sign), jnp.where(nothing, 1.0, odd * sign))
+    is_zero = (even == 0) & (odd == 0)
+    phase = jnp.arctan2(jnp.where(is_zero, 0.0, even * sign), jnp.where(is_zero, 1.0, odd * sign))
     return phase, 0.5 * jnp.log(even * even + odd * odd + FLOOR)
 
 
@@ -218,9 +218,9 @@ class EdgePhase:
         edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
         visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
-        across = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
+        slopes = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
         phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
-        return {"pose": self.weight * phase * (across @ across.T)}
+        return {"pose": self.weight * phase * (slopes @ slopes.T)}
 
 
 def _curvature(potential: EdgePhase, values: Variables, maps: PhaseMaps) -> dict[str, Float[Array, "dof dof"]]:

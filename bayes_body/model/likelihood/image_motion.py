@@ -52,12 +52,12 @@ UNIFORM = 1 / 256
 class Compared(NamedTuple):
     """What is compared at each point.
 
-    `difference` is that of its grey values in both frames (levels), `still` that of its pixel's grey value and the background's before, `cosine` that
-    of its angle, and `visibility` is q.
+    `difference` is that of its grey values in both frames (levels), `background_difference` that of its pixel's grey value and the background's
+    before, `cosine` that of its angle, and `visibility` is q.
     """
 
     difference: Float[Array, "camera part sample"]
-    still: Float[Array, "camera part sample"]
+    background_difference: Float[Array, "camera part sample"]
     cosine: Float[Array, "camera part sample"]
     visibility: Float[Array, "camera part sample"]
 
@@ -105,7 +105,7 @@ class ImageMotionPotential:
         mixed = self._by_pixel if self.mixture == "pixel" else self._by_limb
         terms = mixed(compared.difference, compared.cosine, compared.visibility)
         if self.background:
-            terms = terms - mixed(compared.still, jnp.ones_like(compared.cosine), compared.visibility)
+            terms = terms - mixed(compared.background_difference, jnp.ones_like(compared.cosine), compared.visibility)
         # One sum over all axes: with few optimisations, XLA's CPU backend computed a sum over parts of sums over points wrongly (jaxlib 0.12.0).
         total = self.precision * jnp.sum(jnp.where(data.both[:, None], terms, 0.0))
         # A part that no camera sees would hide a NaN.
@@ -116,16 +116,16 @@ class ImageMotionPotential:
         placed = part_transforms(self.body, configuration), part_transforms(self.body, previous)
         rigs = self.rig, replace(self.rig, rotation=jnp.asarray(data.rotation), translation=jnp.asarray(data.translation))
         points = carried_points(self.body, rigs, placed, jnp.asarray(data.places), self.mapping == "cylinder")
-        count = points.now.u.shape[-1]
+        count = points.pixels.u.shape[-1]
 
-        def grey(which: int, pixels: Pixels[Array]) -> Array:
-            return look_up(data.pictures, jnp.full(count, which, jnp.int32), "bilinear", self.rig, pixels)
+        def grey(number: int, pixels: Pixels[Array]) -> Array:
+            return look_up(data.pictures, jnp.full(count, number, jnp.int32), "bilinear", self.rig, pixels)
 
-        intensity = grey(NOW, points.now)
-        in_view = self._inside(points.now) & self._inside(points.before)
-        still = grey(BACKGROUND, points.now) if self.background else intensity
+        intensity = grey(NOW, points.pixels)
+        in_view = self._inside(points.pixels) & self._inside(points.previous_pixels)
+        background = grey(BACKGROUND, points.pixels) if self.background else intensity
         visibility = jnp.where(in_view & ~points.covered, points.cosine, 0.0)
-        return Compared(LEVELS * (intensity - grey(BEFORE, points.before)), LEVELS * (intensity - still), points.cosine, visibility)
+        return Compared(LEVELS * (intensity - grey(BEFORE, points.previous_pixels)), LEVELS * (intensity - background), points.cosine, visibility)
 
     def _inside(self, pixels: Pixels[Array]) -> Bool[Array, "camera part sample"]:
         width, height = (self.rig.size[:, axis, None, None] for axis in (0, 1))

@@ -106,38 +106,38 @@ def _search(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Arr
     cylinders, parts = np.flatnonzero(~np.array(is_sphere)), len(is_sphere)
 
     def farthest(reached: Reached, part: tuple[Array, Array]) -> tuple[Reached, None]:
-        (best, which), (number, sides) = reached, part
-        inside, side = jnp.full_like(best, jnp.inf), jnp.zeros_like(which)
+        (best, form_index), (number, sides) = reached, part
+        inside, side = jnp.full_like(best, jnp.inf), jnp.zeros_like(form_index)
         for k in range(4):
             distance = sides[0, k] + sides[1, k] * columns + sides[2, k] * rows
             side = jnp.where(distance < inside, k, side)
             inside = jnp.minimum(inside, distance)
-        return (jnp.maximum(best, inside), jnp.where(inside > best, parts * side + number, which)), None
+        return (jnp.maximum(best, inside), jnp.where(inside > best, parts * side + number, form_index)), None
 
     # A loop, because compiling unrolled code takes ten times as long.
     shape = jnp.broadcast_shapes(columns.shape, rows.shape)
     start = varying_like((jnp.full(shape, -jnp.inf, forms.dtype), jnp.zeros(shape, jnp.int32)), forms)
-    (best, which), _ = jax.lax.scan(farthest, start, (jnp.asarray(cylinders, jnp.int32), jnp.moveaxis(forms[:3, :, cylinders], 2, 0)))
+    (best, form_index), _ = jax.lax.scan(farthest, start, (jnp.asarray(cylinders, jnp.int32), jnp.moveaxis(forms[:3, :, cylinders], 2, 0)))
     for part in np.flatnonzero(is_sphere):
         f = forms[:, 0, part]
         inside = f[0] + f[1] * columns + f[2] * rows + f[3] * columns**2 + f[4] * columns * rows + f[5] * rows**2
-        which = jnp.where(inside > best, int(part), which)
+        form_index = jnp.where(inside > best, int(part), form_index)
         best = jnp.maximum(best, inside)
-    return best, which
+    return best, form_index
 
 
 def _forward(is_sphere: tuple[bool, ...], forms: Forms, columns: Array, rows: Array) -> tuple[Array, tuple[Array, ...]]:
-    best, which = _search(is_sphere, forms, columns, rows)
-    return best, (which, forms, columns, rows)
+    best, form_index = _search(is_sphere, forms, columns, rows)
+    return best, (form_index, forms, columns, rows)
 
 
 def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: Array) -> tuple[Forms, Array, Array]:
-    which, forms, u, v = saved
+    form_index, forms, u, v = saved
     columns, rows = jnp.broadcast_arrays(u, v)
     basis = [jnp.ones_like(columns), columns, rows]
     basis += [columns * columns, columns * rows, rows * rows] if any(is_sphere) else []
     # A scatter: summing form by form, each over all points, is a fifth slower even with fifty points.
-    sums = jnp.stack([jax.ops.segment_sum((cotangent * monomial).ravel(), which.ravel(), 4 * len(is_sphere)) for monomial in basis])
+    sums = jnp.stack([jax.ops.segment_sum((cotangent * monomial).ravel(), form_index.ravel(), 4 * len(is_sphere)) for monomial in basis])
     # The grid's position is not inferred.
     return sums.reshape(forms.shape), jnp.zeros_like(u), jnp.zeros_like(v)
 

@@ -129,8 +129,8 @@ def _project_forward(camera: Camera, X: Array, Y: Array, Z: Array) -> tuple[tupl
 
 def _project_backward(saved: tuple[Camera, Array, Array, Array], cotangents: tuple[Array, Array]) -> tuple[Camera, Array, Array, Array]:
     camera, X, Y, Z = saved
-    before = cameras.NEAR < Z
-    inverse = jnp.where(before, 1 / jnp.where(before, Z, 1.0), 0.0)
+    in_front = cameras.NEAR < Z
+    inverse = jnp.where(in_front, 1 / jnp.where(in_front, Z, 1.0), 0.0)
     x, y = X * inverse, Y * inverse
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y

@@ -92,11 +92,11 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
         raise input_error(f"{name}: band", f"from {band[0]:g} to {band[1]:g} of a part's width", "a band that ends after it begins", "swap them")
     holders = np.array([placement.owners[joint] for joint in body.topology.joints])
     solids_by_part = [np.flatnonzero(holders == part) for part in range(len(placement.names))]
-    (along, across, deep), (lengths, most) = samples, (np.asarray(body.lengths, float), max(len(solids) for solids in solids_by_part))
-    if along < most:
+    (lines, columns, deep), (lengths, most) = samples, (np.asarray(body.lengths, float), max(len(solids) for solids in solids_by_part))
+    if lines < most:
         remedy = f"give at least {most} points along a part"
-        raise input_error(f"{name}: samples", f"{along} points along a part with {most} solids", "at least one for each solid", remedy)
-    rows = [_of_part(solids, _divided(along, lengths[solids]), body.topology.is_sphere, (across, deep), band) for solids in solids_by_part]
+        raise input_error(f"{name}: samples", f"{lines} points along a part with {most} solids", "at least one for each solid", remedy)
+    rows = [_of_part(solids, _divided(lines, lengths[solids]), body.topology.is_sphere, (columns, deep), band) for solids in solids_by_part]
     t, s, cell, solid = (np.stack(arrays) for arrays in zip(*rows, strict=True))
     chosen = np.stack([np.concatenate([solids, np.repeat(solids[:1], most - len(solids))]) for solids in solids_by_part])
     dtype = body.lengths.dtype
@@ -108,7 +108,7 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
         cell=device_array(cell, dtype),
         solid=device_array(solid, jnp.int32),
     )
-    return points, np.repeat([INSIDE, BAND, EDGES], [along * across, 2 * along * deep, 2 * along])
+    return points, np.repeat([INSIDE, BAND, EDGES], [lines * columns, 2 * lines * deep, 2 * lines])
 
 
 def _rows[Tree](tree: Tree, chosen: Int[np.ndarray, "part solid"]) -> Tree:
@@ -137,20 +137,20 @@ def _of_part(
     slot = np.repeat(np.arange(len(solids)), counts)
     sphere = np.array(is_sphere)[solids][slot]
     chord = np.where(sphere, 2 * np.sqrt(t * (1 - t)), 1.0)
-    sides, (across, deep), wide = np.array([-1.0, 1.0]), counts_across, band[1] - band[0]
-    inside = chord[:, None] * ((2 * np.arange(across) + 1) / across - 1)
+    sides, (columns, deep), wide = np.array([-1.0, 1.0]), counts_across, band[1] - band[0]
+    inside = chord[:, None] * ((2 * np.arange(columns) + 1) / columns - 1)
     beside = (chord[:, None, None] + 2 * (band[0] + wide * (np.arange(deep)[:, None] + 0.5) / deep)) * sides
     on_sides = chord[:, None] * sides
-    cell_inside = np.broadcast_to((step * chord)[:, None] * 2 / across, inside.shape)
+    cell_inside = np.broadcast_to((step * chord)[:, None] * 2 / columns, inside.shape)
     # A circle's arc over dt of the diameter is longer than dt by one over the chord.
     cells = cell_inside, np.tile((step * 2 * wide / deep)[:, None], 2 * deep), np.tile((step / chord)[:, None], 2)
 
     def flat(arrays: tuple[np.ndarray, ...]) -> np.ndarray:
         return np.concatenate([array.ravel() for array in arrays])
 
-    along = tuple(np.broadcast_to(t[:, None], cell.shape) for cell in cells)
+    lengthwise = tuple(np.broadcast_to(t[:, None], cell.shape) for cell in cells)
     slots = tuple(np.broadcast_to(slot[:, None], cell.shape) for cell in cells)
-    return flat(along), flat((inside, beside, on_sides)), flat(cells), flat(slots)
+    return flat(lengthwise), flat((inside, beside, on_sides)), flat(cells), flat(slots)
 
 
 def projected(part: PartSamples, rig: Camera, frame: Float[Array, "7"], map_index: Int[Array, " sample"]) -> tuple[Pixels[Array], Array]:
@@ -164,8 +164,8 @@ def projected(part: PartSamples, rig: Camera, frame: Float[Array, "7"], map_inde
     is_visible = jnp.all(corners.visible, axis=1)
     u, v = (_quadrilateral(part, jnp.where(is_visible[:, None], coordinates, 0.0)) for coordinates in (corners.u, corners.v))
     # sqrt of a clamped square: a side seen end-on is a point, and must have a finite gradient.
-    length = jnp.sqrt(jnp.maximum(u.along**2 + v.along**2, 1e-6))
-    area = jnp.abs(u.along * v.across - v.along * u.across)
+    length = jnp.sqrt(jnp.maximum(u.by_t**2 + v.by_t**2, 1e-6))
+    area = jnp.abs(u.by_t * v.by_s - v.by_t * u.by_s)
     visible = _of_solids(part, is_visible)
     pixels = jnp.where(visible, part.cell * jnp.where(map_index == EDGES, length, area), 0.0)
     return Pixels(u.place, v.place, visible), pixels
@@ -175,8 +175,8 @@ class _Coordinate(NamedTuple):
     """Columns or rows of the points, with the derivatives by t and by s: (camera, sample)."""
 
     place: Array
-    along: Array
-    across: Array
+    by_t: Array
+    by_s: Array
 
 
 def _quadrilateral(part: PartSamples, corners: Float[Array, "camera 4 solid"]) -> _Coordinate:
@@ -184,8 +184,8 @@ def _quadrilateral(part: PartSamples, corners: Float[Array, "camera 4 solid"]) -
     c0, to_c1, h0, to_h1 = (
         _of_solids(part, 0.5 * coordinates) for coordinates in (middles[0], middles[1] - middles[0], halves[0], halves[1] - halves[0])
     )
-    across = h0 + part.t * to_h1
-    return _Coordinate(c0 + part.t * to_c1 + part.s * across, to_c1 + part.s * to_h1, across)
+    by_s = h0 + part.t * to_h1
+    return _Coordinate(c0 + part.t * to_c1 + part.s * by_s, to_c1 + part.s * to_h1, by_s)
 
 
 def _of_solids(part: PartSamples, values: Array) -> Array:

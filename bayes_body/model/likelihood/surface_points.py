@@ -32,14 +32,14 @@ class CarriedPoints(NamedTuple):
     """The same points of all parts in two frames, for each camera.
 
     Attributes:
-        now: their pixels in this frame.
-        before: their pixels in the frame before.
+        pixels: their pixels in this frame.
+        previous_pixels: their pixels in the frame before.
         cosine: of the angle between the axis and the image plane, or between the surface's normal and the view: from LEAST_COSINE to 1.
         covered: whether a nearer part covers the point in this frame.
     """
 
-    now: Pixels[Float[Array, "camera part sample"]]
-    before: Pixels[Float[Array, "camera part sample"]]
+    pixels: Pixels[Float[Array, "camera part sample"]]
+    previous_pixels: Pixels[Float[Array, "camera part sample"]]
     cosine: Float[Array, "camera part sample"]
     covered: Bool[Array, "camera part sample"]
 
@@ -56,7 +56,7 @@ def carried_points(
         places: t from 0 to 1 and s from -1 to 1, for every part.
         on_surface: whether points lie on the surface, not on the patch through the axis.
     """
-    T_world_part, before = placed
+    T_world_part, previous_T_world_part = placed
     coefficients = _coefficients(body, places, on_surface)
 
     def camera_points(camera: Camera, earlier: Camera) -> CarriedPoints:
@@ -72,7 +72,7 @@ def carried_points(
         shown = jnp.broadcast_to(cosine if cosine.ndim > 1 else cosine[:, None], pixels.u.shape)
         return CarriedPoints(
             pixels,
-            _pixels(earlier, _carried(vectors, T_world_part, before), coefficients),
+            _pixels(earlier, _carried(vectors, T_world_part, previous_T_world_part), coefficients),
             jnp.maximum(shown, LEAST_COSINE),
             _covered(body, camera, vectors, pixels, cameras.to_camera(camera, middle)[:, 2]),
         )
@@ -85,19 +85,19 @@ def _coefficients(body: Body, places: Float[Array, "sample 2"], on_surface: bool
     t, s = places[:, 0], places[:, 1]
     # A sphere's chord at t is 2 sqrt(t (1 - t)) radii wide.
     chord = jnp.where(jnp.array(body.topology.is_sphere)[:, None], 2 * jnp.sqrt(jnp.maximum(t * (1 - t), 0.0)), 1.0)
-    across = s * chord
-    depth = chord * jnp.sqrt(jnp.maximum(1 - s * s, 0.0)) if on_surface else jnp.zeros_like(across)
-    t = jnp.broadcast_to(t, across.shape)
-    return jnp.stack([jnp.ones_like(t), t, across, t * across, depth, t * depth])
+    offset = s * chord
+    depth = chord * jnp.sqrt(jnp.maximum(1 - s * s, 0.0)) if on_surface else jnp.zeros_like(offset)
+    t = jnp.broadcast_to(t, offset.shape)
+    return jnp.stack([jnp.ones_like(t), t, offset, t * offset, depth, t * depth])
 
 
 def _vectors(body: Body, T_world_part: Transform, camera: Camera) -> tuple[Vectors, Float[Array, "part 3"]]:
     """V0..V5 of every part in the world, and the half depth of a section of radius one, towards the camera."""
     patches = shape_patches(body.seen, T_world_part, camera.viewpoint)
-    near, far = body.outline_radii[:, :1], body.outline_radii[:, 1:]
+    base, tip = body.outline_radii[:, :1], body.outline_radii[:, 1:]
     is_sphere = jnp.array(body.topology.is_sphere)[:, None]
     depth = jnp.where(is_sphere, _towards(body, T_world_part, camera), half_depths(body.seen, T_world_part, camera.viewpoint))
-    return jnp.stack([*patches, depth * near, jnp.where(is_sphere, 0.0, depth * (far - near))]), depth
+    return jnp.stack([*patches, depth * base, jnp.where(is_sphere, 0.0, depth * (tip - base))]), depth
 
 
 def _towards(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array, "part 3"]:
@@ -105,14 +105,14 @@ def _towards(body: Body, T_world_part: Transform, camera: Camera) -> Float[Array
     return transforms.unit(camera.viewpoint - T_world_part.origin - body.lengths[:, None] / 2 * T_world_part.z)
 
 
-def _carried(vectors: Vectors, T_world_part: Transform, before: Transform) -> Vectors:
+def _carried(vectors: Vectors, T_world_part: Transform, previous_T_world_part: Transform) -> Vectors:
     """The vectors of the same points in the frame before."""
     back = jnp.swapaxes(T_world_part.rotation, -1, -2)
 
     def turned(vector: Float[Array, "part 3"]) -> Float[Array, "part 3"]:
-        return transforms.turn(before.rotation, transforms.turn(back, vector))
+        return transforms.turn(previous_T_world_part.rotation, transforms.turn(back, vector))
 
-    start = before.origin + turned(vectors[0] - T_world_part.origin)
+    start = previous_T_world_part.origin + turned(vectors[0] - T_world_part.origin)
     return jnp.stack([start, *(turned(vector) for vector in vectors[1:])])
 
 
@@ -125,8 +125,8 @@ def _pixels(camera: Camera, vectors: Vectors, coefficients: Coefficients) -> Pix
 
 def _axis_cosine(body: Body, axis: Float[Array, "part 3"], view: Float[Array, "part 3"]) -> Float[Array, " part"]:
     """Of the angle between an axis and the plane across the view; 1 for a sphere."""
-    along = transforms.dot(axis, transforms.unit(view))
-    return jnp.where(jnp.array(body.topology.is_sphere), 1.0, jnp.sqrt(jnp.maximum(1 - along * along, LEAST_COSINE**2)))
+    sine = transforms.dot(axis, transforms.unit(view))
+    return jnp.where(jnp.array(body.topology.is_sphere), 1.0, jnp.sqrt(jnp.maximum(1 - sine * sine, LEAST_COSINE**2)))
 
 
 def _surface_cosine(

@@ -23,7 +23,7 @@ class Origin(NamedTuple):
     room: Room
     name: str
 
-    def where(self, function: Any = None) -> str:
+    def describe(self, function: Any = None) -> str:
         """Return the term's name in error messages, with the line at which a function of the plugin begins."""
         line = first_line(self.path, function)
         return f"{self.path}: {f'line {line}, ' if line else ''}{self.room} '{self.name}'"
@@ -36,7 +36,7 @@ class Own:
     Attributes:
         origin: the term to which it belongs.
         function: the plugin's function. Two wrappers of one function are equal, so that a model that is built again is not compiled again.
-        check: raises an InputError if the function's result cannot be used: `(where, result)`.
+        check: raises an InputError if the function's result cannot be used: `(subject, result)`.
     """
 
     origin: Origin
@@ -60,7 +60,7 @@ class Own:
                 raise
             raise fault from error
         if self.check is not None:
-            self.check(self.origin.where(self.function), output)
+            self.check(self.origin.describe(self.function), output)
         return output
 
 
@@ -108,9 +108,9 @@ def line_of(path: Path, error: BaseException) -> int | None:
 
 
 def _with_causes(error: BaseException | None) -> Iterator[BaseException]:
-    known = set[int]()
-    while error is not None and id(error) not in known:
-        known.add(id(error))
+    seen_ids = set[int]()
+    while error is not None and id(error) not in seen_ids:
+        seen_ids.add(id(error))
         yield error
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 

@@ -25,32 +25,32 @@ MADE = {
 }
 
 
-def checked_term(room: Room, term: Any, name: str, where: str) -> Any:
+def checked_term(room: Room, term: Any, name: str, subject: str) -> Any:
     """Check what a build function returned, and return it.
 
     Args:
         room: the room of the term.
         term: what the build function returned.
         name: the name requested for the factor.
-        where: the name of the term in error messages.
+        subject: the name of the term in error messages.
 
     Raises:
         InputError: it has the wrong type, or a factor has a different name or the wrong side.
     """
     kind = {"likelihood": Factor, "potential": Factor, "dynamics": Transition}.get(room)
     if not (isinstance(term, kind) if kind else callable(term)):
-        raise input_error(f"{where}: its build function", f"returns {shown(term)}", MADE[room], "return one")
+        raise input_error(f"{subject}: its build function", f"returns {shown(term)}", MADE[room], "return one")
     if isinstance(term, Factor):
-        _check_named(room, term, name, where)
+        _check_named(room, term, name, subject)
     return term
 
 
-def _check_named(room: Room, factor: Factor, name: str, where: str) -> None:
+def _check_named(room: Room, factor: Factor, name: str, subject: str) -> None:
     if factor.name != name:
-        raise input_error(where, f"its factor is called '{factor.name}'", f"'{name}'", "pass on the name that the build function is given")
+        raise input_error(subject, f"its factor is called '{factor.name}'", f"'{name}'", "pass on the name that the build function is given")
     sides = ("likelihood",) if room == "likelihood" else ("constraint", "prior")
     if factor.side not in sides:
-        raise input_error(where, f'its factor has the side "{factor.side}"', f'"{sides[0]}"', "correct the factor's side")
+        raise input_error(subject, f'its factor has the side "{factor.side}"', f'"{sides[0]}"', "correct the factor's side")
 
 
 def check_factors(density: Any, state: State, terms: Mapping[str, str]) -> None:
@@ -66,35 +66,37 @@ def check_factors(density: Any, state: State, terms: Mapping[str, str]) -> None:
     """
     values = variables(state, density.ancestor(0))
     for factor in density.factors:
-        where = terms.get(factor.name) or terms.get(re.sub(r"_\d+$", "", factor.name))
-        if where:
+        subject = terms.get(factor.name) or terms.get(re.sub(r"_\d+$", "", factor.name))
+        if subject:
             function = getattr(factor.log_potential, "func", None)
-            where = function.origin.where(function) if isinstance(function, Own) else where
-            _check_scope(factor, values, where)
-            _check_value(factor, values, density.data, f"{where}: its log-potential")
+            subject = function.origin.describe(function) if isinstance(function, Own) else subject
+            _check_scope(factor, values, subject)
+            _check_value(factor, values, density.data, f"{subject}: its log-potential")
 
 
-def _check_scope(factor: Factor, values: Variables, where: str) -> None:
+def _check_scope(factor: Factor, values: Variables, subject: str) -> None:
     absent = [variable for variable in factor.scope if variable not in values]
     if absent:
-        known = ", ".join(repr(tuple(variable)) for variable in sorted(values))
-        raise input_error(f"{where}: its scope", f"has {tuple(absent[0])!r}", f"variables (name, offset) of the model: {known}", "correct the scope")
+        names = ", ".join(repr(tuple(variable)) for variable in sorted(values))
+        raise input_error(
+            f"{subject}: its scope", f"has {tuple(absent[0])!r}", f"variables (name, offset) of the model: {names}", "correct the scope"
+        )
 
 
-def _check_value(factor: Factor, values: Variables, data: Data, where: str) -> None:
+def _check_value(factor: Factor, values: Variables, data: Data, subject: str) -> None:
     output = jax.eval_shape(factor, values, data)
     shape, dtype = getattr(output, "shape", None), getattr(output, "dtype", None)
     remedy = "return the sum of its terms"
     if shape is None or dtype is None:
-        raise input_error(where, f"returns {shown(output)}", "one number", remedy)
+        raise input_error(subject, f"returns {shown(output)}", "one number", remedy)
     if shape != ():
-        raise input_error(where, f"returns an array of shape {shape}", "one number, of shape ()", remedy)
+        raise input_error(subject, f"returns an array of shape {shape}", "one number, of shape ()", remedy)
     if not (jnp.issubdtype(dtype, jnp.floating) or jnp.issubdtype(dtype, jnp.integer)):
-        raise input_error(where, f"returns a number of type {dtype}", "a real number", remedy)
+        raise input_error(subject, f"returns a number of type {dtype}", "a real number", remedy)
     value = float(jax.jit(factor)(values, data))
     if math.isnan(value) or value == math.inf:
         problem = f"is {'NaN' if math.isnan(value) else 'infinite'} at the first pose, with the data of the first frame"
-        raise input_error(where, problem, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
+        raise input_error(subject, problem, "a finite number, or minus infinity", "look for 0 / 0, the logarithm of 0, or missing data")
 
 
 def check_transition(density: Any, state: State) -> None:
@@ -111,24 +113,26 @@ def check_transition(density: Any, state: State) -> None:
     function = getattr(transition.conditional, "func", None)
     if not isinstance(function, Own):
         return
-    where = function.origin.where(function)
+    subject = function.origin.describe(function)
     ancestor, key = density.ancestor(0), jax.random.key(0)
     for name, distribution in transition.conditional(ancestor).items():
         if not (callable(getattr(distribution, "sample", None)) and callable(getattr(distribution, "log_prob", None))):
-            raise input_error(where, f"'{name}' is {shown(distribution)}", "a distribution of numpyro for each variable", "return one")
+            raise input_error(subject, f"'{name}' is {shown(distribution)}", "a distribution of numpyro for each variable", "return one")
     drawn = jax.eval_shape(transition.sample, key, ancestor)
     forms, expected = ({name: tuple(np.shape(value)) for name, value in arrays.items()} for arrays in (drawn, state))
     if forms != expected:
-        raise input_error(where, f"draws states with {_listed(forms)}", f"{_listed(expected)}, as the first state has", "draw or carry each of them")
+        raise input_error(
+            subject, f"draws states with {_listed(forms)}", f"{_listed(expected)}, as the first state has", "draw or carry each of them"
+        )
     log_density = jax.eval_shape(transition.log_density, drawn, ancestor)
     if log_density.shape != ():
         remedy = "make the last axis an event, with `.to_event(1)`"
-        raise input_error(f"{where}: its log-density", f"has the shape {log_density.shape}", "one number, of shape ()", remedy)
+        raise input_error(f"{subject}: its log-density", f"has the shape {log_density.shape}", "one number, of shape ()", remedy)
     sample, value = jax.jit(_drawn)(transition, key, ancestor)
     broken = [name for name, array in sample.items() if not np.isfinite(np.asarray(array, float)).all()]
     if broken or not math.isfinite(value):
         problem = f"'{broken[0]}' is not finite in a state that it draws" if broken else f"its log-density of a state that it draws is {float(value)}"
-        raise input_error(where, problem, "finite numbers", "look for deviations that are 0, and for limits that the first pose does not keep")
+        raise input_error(subject, problem, "finite numbers", "look for deviations that are 0, and for limits that the first pose does not keep")
 
 
 def _drawn(transition: Transition, key: Any, ancestor: State) -> tuple[State, Any]:

@@ -49,14 +49,14 @@ def load_plugin(path: Path | str) -> Plugin:
     """
     path = Path(path).resolve()
     text = _read(path)
-    before = _loaded.get(path)
-    if before and before.text == text:
-        return before
+    loaded = _loaded.get(path)
+    if loaded and loaded.text == text:
+        return loaded
     for namesake in _loaded.values():
         if namesake.path.name == path.name and namesake.path != path:
             raise input_error(path, f"the plugin {namesake.path} has the same file name", "a file name of its own", "rename one of them")
-    if before:
-        unload(before)
+    if loaded:
+        unload(loaded)
     with registry.additions() as places:
         _execute(path, text)
     plugin = _loaded[path] = Plugin(path, text, tuple(places))
@@ -171,9 +171,9 @@ def _execute(path: Path, text: str) -> None:
 
 def _moved_module(path: Path, error: ImportError) -> InputError:
     """The error of a plugin that imports a module of this package by a path that it had in another version."""
-    where = f"{path}: line {line_of(path, error)}"
+    subject = f"{path}: line {line_of(path, error)}"
     remedy = "write `import bayes_body as bb`, and take bb.Schema, bb.Factor, bb.InputError and the like"
-    return input_error(where, f"{error.name} is not where this plugin looks ({error.msg})", "names of `bayes_body` itself", remedy)
+    return input_error(subject, f"{error.name} is not where this plugin looks ({error.msg})", "names of `bayes_body` itself", remedy)
 
 
 def _module_name(path: Path) -> str:
@@ -185,12 +185,12 @@ def _check(plugin: Plugin) -> None:
     if not plugin.places:
         raise input_error(plugin.path, "registers nothing", "at least one term", 'put @bb.register("likelihood", "mine") above a build function')
     for room, name in plugin.places:
-        where = f"{plugin.path}: {room} '{name}'"
+        subject = f"{plugin.path}: {room} '{name}'"
         if room == "likelihood" and name not in registry.names("observation"):
             remedy = 'give its @register observation="markers_gaussian" or another, or register an observation of the same name'
-            raise input_error(where, "no observation", "an observation that prepares its data", remedy)
+            raise input_error(subject, "no observation", "an observation that prepares its data", remedy)
         if room == "kernel" and "particles" not in registry.find(room, name).options.model_fields:
-            raise input_error(where, "its options have no `particles`", "an option for their number", "add `particles: Count = 1000` to them")
+            raise input_error(subject, "its options have no `particles`", "an option for their number", "add `particles: Count = 1000` to them")
 
 
 # -- its terms ----------------------------------------------------------------------------------------------------------------------------------
@@ -209,6 +209,6 @@ def _guarded(plugin: Plugin, place: Place, build: Callable[..., Any]) -> Callabl
             if fault is None:
                 raise
             raise fault from error
-        return owned(origin, checked_term(room, term, arguments.get("name", name), origin.where(build)))
+        return owned(origin, checked_term(room, term, arguments.get("name", name), origin.describe(build)))
 
     return guarded

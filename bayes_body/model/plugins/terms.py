@@ -53,30 +53,30 @@ def _wrapped(origin: Origin, function: Any, check: Callable[[str, Any], None] | 
     return function
 
 
-def _by_name(where: str, output: Any) -> None:
+def _by_name(subject: str, output: Any) -> None:
     if not isinstance(output, Mapping):
-        raise input_error(where, f"returns {shown(output)}", "a mapping from names of variables", "return a dict")
+        raise input_error(subject, f"returns {shown(output)}", "a mapping from names of variables", "return a dict")
 
 
-def _array(where: str, output: Any) -> None:
+def _array(subject: str, output: Any) -> None:
     # What an array must be like is said with the first frame's data (model/plugins/check.py).
     if output is not None:
-        _arrays(where, output)
+        _arrays(subject, output)
 
 
-def _arrays(where: str, output: Any) -> None:
+def _arrays(subject: str, output: Any) -> None:
     """Refuse what a compiled program cannot take."""
     for leaf in jax.tree.leaves(output):
         kind = np.dtype(leaf.dtype).kind if hasattr(leaf, "dtype") and not jnp.issubdtype(leaf.dtype, jax.dtypes.extended) else "f"
         if kind not in "biufcV" or not (hasattr(leaf, "shape") or isinstance(leaf, int | float | complex)):
-            raise input_error(where, f"returns {shown(leaf)}", "arrays of numbers", "convert it, or leave it out")
+            raise input_error(subject, f"returns {shown(leaf)}", "arrays of numbers", "convert it, or leave it out")
 
 
 @dataclass(frozen=True, eq=False)
 class OwnObserver(Own):
     """An observation of a plugin: its arrays must have the same names, shapes and types in every frame."""
 
-    known: list[Any] = field(default_factory=list)
+    forms: list[Any] = field(default_factory=list)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Return the arrays of a frame.
@@ -84,15 +84,15 @@ class OwnObserver(Own):
         Raises:
             InputError: the function fails, or its arrays are others than in the first frame.
         """
-        output, where = super().__call__(*arguments, **named), self.origin.where(self.function)
-        _arrays(where, output)
+        output, subject = super().__call__(*arguments, **named), self.origin.describe(self.function)
+        _arrays(subject, output)
         leaves, tree = jax.tree.flatten(output)
         form = tree, tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
-        self.known[:] = self.known or [form]
-        if form != self.known[0]:
-            first_shapes, shapes = (", ".join(f"{dtype}{list(shape)}" for shape, dtype in layout[1]) or "none" for layout in (self.known[0], form))
+        self.forms[:] = self.forms or [form]
+        if form != self.forms[0]:
+            first_shapes, shapes = (", ".join(f"{dtype}{list(shape)}" for shape, dtype in layout[1]) or "none" for layout in (self.forms[0], form))
             problem = f"returns arrays of the shapes {shapes}, and returned {first_shapes} before"
-            raise input_error(where, problem, "the same in every frame", "fill what is missing with zeros or NaN")
+            raise input_error(subject, problem, "the same in every frame", "fill what is missing with zeros or NaN")
         return output
 
 
@@ -106,13 +106,13 @@ class OwnKernel(Own):
         Raises:
             InputError: the function fails, or what it returns has another form.
         """
-        output, where = super().__call__(key, particles, density), self.origin.where(self.function)
+        output, subject = super().__call__(key, particles, density), self.origin.describe(self.function)
         expected = "a pair (bb.Particles, bb.FilterInfo)"
         if not (isinstance(output, tuple) and len(output) == 2 and isinstance(output[0], Particles) and isinstance(output[1], FilterInfo)):
-            what = f"({', '.join(shown(element) for element in output)})" if type(output) is tuple else shown(output)
-            raise input_error(where, f"returns {what}", expected, "return the particles of this frame, and their diagnostics")
-        _check_particles(where, output[0], particles)
-        _check_info(where, output[1], particles.log_weights.shape[0])
+            shown_output = f"({', '.join(shown(element) for element in output)})" if type(output) is tuple else shown(output)
+            raise input_error(subject, f"returns {shown_output}", expected, "return the particles of this frame, and their diagnostics")
+        _check_particles(subject, output[0], particles)
+        _check_info(subject, output[1], particles.log_weights.shape[0])
         return output
 
     def check_values(self, particles: Particles, frame: int) -> None:
@@ -121,13 +121,13 @@ class OwnKernel(Own):
         Raises:
             InputError: it is NaN, or all log-weights are -∞.
         """
-        where, weights = self.origin.where(self.function), np.asarray(particles.log_weights)
+        subject, weights = self.origin.describe(self.function), np.asarray(particles.log_weights)
         broken = [name for name, values in particles.states.items() if np.isnan(np.asarray(values, float)).any()]
         if np.isnan(weights).any() or not (weights > -np.inf).any():
             problem = f"log-weights of frame {frame} are {'NaN' if np.isnan(weights).any() else 'all minus infinity'}"
-            raise input_error(where, problem, "normalised log-weights", "where no particle explains the frame, return equal ones and set `lost`")
+            raise input_error(subject, problem, "normalised log-weights", "where no particle explains the frame, return equal ones and set `lost`")
         if broken:
-            raise input_error(where, f"'{broken[0]}' is NaN in some particles of frame {frame}", "numbers", "give such particles no weight")
+            raise input_error(subject, f"'{broken[0]}' is NaN in some particles of frame {frame}", "numbers", "give such particles no weight")
 
 
 def check_result(kernel: Any, particles: Particles, frame: int) -> None:
@@ -140,22 +140,24 @@ def check_result(kernel: Any, particles: Particles, frame: int) -> None:
         kernel.check_values(particles, frame)
 
 
-def _check_particles(where: str, particles: Particles, before: Particles) -> None:
+def _check_particles(subject: str, particles: Particles, previous: Particles) -> None:
     forms = [
         {"log_weights": population.log_weights, **population.states} if isinstance(population.states, Mapping) else {}
-        for population in (particles, before)
+        for population in (particles, previous)
     ]
     if set(forms[0]) != set(forms[1]):
         names, expected = (", ".join(sorted(form)) or "nothing" for form in forms)
-        raise input_error(where, f"particles with {names}", f"{expected}, as those that it is given", "return every variable of the state")
+        raise input_error(subject, f"particles with {names}", f"{expected}, as those that it is given", "return every variable of the state")
     for name, values in forms[0].items():
         ancestor_values = forms[1][name]
         form, expected = (f"{getattr(array, 'dtype', type(array).__name__)}{list(np.shape(array))}" for array in (values, ancestor_values))
         if form != expected:
-            raise input_error(where, f"`{name}` of the particles is {form}", f"{expected}, as it is given", "return as many particles, of that type")
+            raise input_error(
+                subject, f"`{name}` of the particles is {form}", f"{expected}, as it is given", "return as many particles, of that type"
+            )
 
 
-def _check_info(where: str, info: FilterInfo, count: int) -> None:
+def _check_info(subject: str, info: FilterInfo, count: int) -> None:
     for name, dims in INFO.items():
         shape = np.shape(getattr(info, name))
         right = {"": shape == (), "particle": shape == (count,), "stage": len(shape) == 1}[dims]
@@ -163,7 +165,7 @@ def _check_info(where: str, info: FilterInfo, count: int) -> None:
             expected = {"": "one number, of shape ()", "particle": f"one for each particle, ({count},)", "stage": "one for each stage, (stage,)"}[
                 dims
             ]
-            raise input_error(where, f"`{name}` of its bb.FilterInfo has the shape {shape}", expected, "see the fields of bb.FilterInfo")
+            raise input_error(subject, f"`{name}` of its bb.FilterInfo has the shape {shape}", expected, "see the fields of bb.FilterInfo")
 
 
 def shown(value: Any) -> str:

@@ -94,7 +94,7 @@ def benchmark_rows(asked: Sequence[Pair], settings: Settings, folder: Path, done
     scenes = Scenes(folder, settings.frames, settings.seed, settings.session)
     existing = {(row.get("model"), row.get("kernel")): row for row in done}
     for pair in asked:
-        before = existing.get(pair, {})
+        existing_row = existing.get(pair, {})
         row: Row = {
             "model": pair.model,
             "kernel": pair.kernel,
@@ -109,8 +109,8 @@ def benchmark_rows(asked: Sequence[Pair], settings: Settings, folder: Path, done
                 definition = load_definition(pair.model)
                 options = options_of(definition, pair.kernel, settings.most_particles)
                 row["made_of"] = _made_of(definition, pair.kernel, options, settings)
-                if before.get("made_of") == row["made_of"] and before.get("error") is None and set(FIGURES) <= set(before):
-                    yield before
+                if existing_row.get("made_of") == row["made_of"] and existing_row.get("error") is None and set(FIGURES) <= set(existing_row):
+                    yield existing_row
                     continue
                 scene, draws = followed(scenes, definition, pair.kernel, options, settings)
                 row |= {"scene": scene.kind, **measured(scene.session, draws)}
@@ -139,7 +139,7 @@ def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, 
     Raises:
         InputError: the pair cannot be run: there are no data to follow, or the model lacks what this kernel needs.
     """
-    scene = scenes.of(definition)
+    scene = scenes.scene_of(definition)
     frames = min(settings.frames, scene.session.frames)
     built, key = kernel_of(kernel, options), jax.random.key(settings.seed)
     return scene, track(key, scene.session, scene.model, built, options.particles, settings.runs, frames)

@@ -67,7 +67,7 @@ class Scenes:
         self.folder, self.frames, self.seed, self.recording = folder, frames, seed, session
         self._made: dict[str, Scene | InputError] = {}
 
-    def of(self, definition: Definition) -> Scene:
+    def scene_of(self, definition: Definition) -> Scene:
         """The scene of a model.
 
         Raises:
@@ -153,7 +153,7 @@ def drawn(model: Model, folder: Path, frames: int, key: Key) -> Scene:
     session = Session(folder, "data drawn from the model", "z", FPS, frames, 0, views, truth=TRUTH)
     observers = {name: _of_frame(data) for name, data in case.data.items()}
     first = jax.tree.map(jnp.asarray, dict(case.first))
-    return Scene(session, replace(model, first=model.first.known(first), observers=observers), "drawn")
+    return Scene(session, replace(model, first=model.first.make_certain(first), observers=observers), "drawn")
 
 
 def _of_frame(data: Any) -> Callable[[Any], Any]:

@@ -80,7 +80,7 @@ def test_the_first_velocity_of_a_known_pose_is_not_known():
     expected = np.radians(20.0) / np.sqrt(1 - np.exp(-2 / (60 * 0.4)))
     assert not first.is_point and (np.asarray(states["pose"]) == np.asarray(pose)).all()
     assert np.asarray(states["velocity"])[:, 3].std() == pytest.approx(expected, rel=0.06) and np.abs(states["velocity"][:, :3]).max() < 1e-4
-    assert first.known(first.mode).is_point and first_of(FirstTable(), ARM, pose, build(Options(**SD), ARM, 60.0)).is_point
+    assert first.make_certain(first.mode).is_point and first_of(FirstTable(), ARM, pose, build(Options(**SD), ARM, 60.0)).is_point
 
 
 def test_a_spread_that_would_let_movements_grow_is_refused():

@@ -96,7 +96,7 @@ def test_points_are_where_the_rigid_parts_carry_them(scene, on_surface):
             world = patch.start + t * patch.along + chord * (s * across + on_surface * np.sqrt(1 - s**2) * radius * towards)
             in_part = np.einsum("pij,pi->pj", now.rotation, world - now.origin)
             world_before = np.einsum("pij,pj->pi", then.rotation, in_part) + then.origin
-            for camera, place, found in ((one, world, points.now), (before, world_before, points.before)):
+            for camera, place, found in ((one, world, points.pixels), (before, world_before, points.previous_pixels)):
                 expected = np.asarray(projected(camera, place)[0])
                 got = np.stack([found.u[c, :, number], found.v[c, :, number]], axis=1)
                 np.testing.assert_allclose(got, expected, atol=1e-6)
@@ -118,7 +118,7 @@ def test_a_point_is_covered_where_it_lies_in_the_outline_of_a_nearer_part(scene)
         outlines = np.asarray(projected(camera, corners)[0], np.float32)
         for part in range(len(depth)):
             for sample in range(len(places)):
-                place = float(points.now.u[c, part, sample]), float(points.now.v[c, part, sample])
+                place = float(points.pixels.u[c, part, sample]), float(points.pixels.v[c, part, sample])
                 inside = [cv2.pointPolygonTest(outline, place, measureDist=True) for outline in outlines]
                 nearer = [each for each, other in zip(inside, depth, strict=True) if other < depth[part]]
                 if min((abs(each) for each in nearer), default=1.0) > 1e-3:
@@ -133,9 +133,9 @@ def test_where_nothing_changes_the_value_is_known(scene, mapping):
     places = np.asarray(data.places)
     placed = transforms_of(given.body, given.pose)
     points = arrays_of(carried(given.body, (given.rig, given.rig), (placed, placed), places, on_surface=mapping == "cylinder"))
-    shown = ~points.covered & points.now.visible
+    shown = ~points.covered & points.pixels.visible
     for c, image in enumerate(images):
-        u, v = points.now.u[c], points.now.v[c]
+        u, v = points.pixels.u[c], points.pixels.v[c]
         shown[c] &= (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
     q = np.where(shown, points.cosine, 0.0)
     assert ((points.cosine >= LEAST_COSINE) & (points.cosine <= 1)).all()
