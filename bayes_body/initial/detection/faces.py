@@ -141,8 +141,8 @@ def _faces(scene: Scene, view: int) -> Iterator[Face]:
     turned = upright(scene, view)
     grey = cv2.equalizeHist(cv2.cvtColor(turned.picture, cv2.COLOR_BGR2GRAY))
     for name, mirrored, looks in CASCADES:
-        for left, top, side in boxes(grey[:, ::-1] if mirrored else grey, name, turned):
-            middle = np.array([left + (side - 1) / 2, top + (side - 1) / 2])
+        for first_column, top, side in boxes(grey[:, ::-1] if mirrored else grey, name, turned):
+            middle = np.array([first_column + (side - 1) / 2, top + (side - 1) / 2])
             if mirrored:
                 middle[0] = grey.shape[1] - 1 - middle[0]
             yield Face(view, turned.to_image(middle), side / turned.scale, looks)
@@ -155,7 +155,7 @@ def boxes(grey: UInt8[np.ndarray, "row column"], cascade: str, turned: Upright) 
         rectangles = _cascade(cascade).detectMultiScale(
             np.ascontiguousarray(grey), STEP, NEIGHBOURS, minSize=(sides[0],) * 2, maxSize=(sides[1],) * 2
         )
-    return [(int(left), int(top), int(side)) for left, top, side, _ in rectangles]
+    return [(int(first_column), int(top), int(side)) for first_column, top, side, _ in rectangles]
 
 
 @lru_cache
@@ -171,10 +171,10 @@ def _pairs(scene: Scene, faces: Sequence[Face]) -> Iterator[Head]:
         if not np.isfinite(middle).all() or errors[0] > MISS * min(a.side_px, b.side_px):
             continue
         looks = [_looks(scene, face, middle[0]) for face in (a, b)]
-        both = looks[0] + looks[1]
+        direction = looks[0] + looks[1]
         # Faces whose directions differ by more than 120 degrees do not belong to one head.
-        if np.linalg.norm(both) > 1 and all(_has_size(scene, face, middle[0]) for face in (a, b)):
-            yield Head(middle[0], both / np.linalg.norm(both), 1.0)
+        if np.linalg.norm(direction) > 1 and all(_has_size(scene, face, middle[0]) for face in (a, b)):
+            yield Head(middle[0], direction / np.linalg.norm(direction), 1.0)
 
 
 def _singles(scene: Scene, faces: Sequence[Face]) -> Iterator[Head]:

@@ -45,7 +45,7 @@ def choose_person(cameras: Sequence[CameraSpec], masks: Sequence[Mask], up: int)
     people = [body for body in bodies(_on_floor(carve(cameras, masks), up)) if _is_person(body, up)]
     if not people:
         return ChosenBody(None, ("the silhouettes have no body in common that is as large as a person",))
-    return ChosenBody(people[0], _others(people, up))
+    return ChosenBody(people[0], _notice_of_others(people, up))
 
 
 def floor_height(centres: Voxels, up: int) -> float:
@@ -54,13 +54,13 @@ def floor_height(centres: Voxels, up: int) -> float:
     return 0.0 if abs(lowest) <= FLOOR_M else lowest
 
 
-def _others(people: Sequence[Voxels], up: int) -> tuple[str, ...]:
+def _notice_of_others(people: Sequence[Voxels], up: int) -> tuple[str, ...]:
     first, smaller_bodies = people[0], people[1:]
-    others = [body for body in smaller_bodies if len(body) >= SECOND_SHARE * len(first) and np.ptp(body[:, up]) >= SECOND_HEIGHT_M]
-    if not others:
+    large_bodies = [body for body in smaller_bodies if len(body) >= SECOND_SHARE * len(first) and np.ptp(body[:, up]) >= SECOND_HEIGHT_M]
+    if not large_bodies:
         return ()
-    count = {1: "two", 2: "three"}.get(len(others), "several")
-    sizes = ", ".join(f"{_litres(body):.0f} at {_place(body)}" for body in others)
+    count = {1: "two", 2: "three"}.get(len(large_bodies), "several")
+    sizes = ", ".join(f"{_litres(body):.0f} at {_place(body)}" for body in large_bodies)
     return (f"{count} people: the one at {_place(first)} was taken, it is the largest ({_litres(first):.0f} litres; the rest: {sizes})",)
 
 
@@ -112,7 +112,7 @@ class Figure(NamedTuple):
         crown: the highest point of the hull's head.
         pelvis: the middle of the trunk at the height of the hips.
         thorax: the middle of the trunk at the height of the shoulders.
-        across: horizontal unit vector along the line of the shoulders; its sign has no meaning.
+        shoulder_axis: horizontal unit vector along the line of the shoulders; its sign has no meaning.
         elongation: ratio of the chest's width to its depth; near 1 the line of the shoulders is not known.
         paths: for each extremity, the points from its tip to the pelvis.
     """
@@ -122,7 +122,7 @@ class Figure(NamedTuple):
     crown: Float[np.ndarray, "3"]
     pelvis: Float[np.ndarray, "3"]
     thorax: Float[np.ndarray, "3"]
-    across: Float[np.ndarray, "3"]
+    shoulder_axis: Float[np.ndarray, "3"]
     elongation: float
     paths: tuple[Float[np.ndarray, "point 3"], ...]
 
@@ -140,8 +140,8 @@ def figure(centres: Voxels, viewpoints: Float[np.ndarray, "view 3"], up: int, st
     if stature_m is not None and STANDS[0] < height / stature_m < STANDS[1]:
         height = max(height, WALKING * stature_m)
     pelvis, thorax = (_middle(centres, depths, floor + share * height, height, up) for share in (HIP, SHOULDER))
-    across, elongation = _across(centres, thorax, floor + height * np.array(CHEST), viewpoints, up)
-    return Figure(floor, height, crown, pelvis, thorax, across, elongation, _paths(centres, depths, pelvis))
+    shoulder_axis, elongation = _shoulder_axis(centres, thorax, floor + height * np.array(CHEST), viewpoints, up)
+    return Figure(floor, height, crown, pelvis, thorax, shoulder_axis, elongation, _paths(centres, depths, pelvis))
 
 
 def interior_depths(centres: Voxels) -> Float[np.ndarray, " voxel"]:
@@ -172,7 +172,7 @@ def _middle(centres: Voxels, depths: Float[np.ndarray, " voxel"], level: float, 
     return middle
 
 
-def _across(
+def _shoulder_axis(
     centres: Voxels, thorax: Float[np.ndarray, "3"], height_of_chest: Float[np.ndarray, "2"], viewpoints: Float[np.ndarray, "view 3"], up: int
 ) -> tuple[Float[np.ndarray, "3"], float]:
     """Return the line of the shoulders, and the ratio of the chest's width to its depth.
@@ -191,22 +191,22 @@ def _across(
     # With two views, this is the smallest solution.
     a, b, c = np.linalg.lstsq(rows, widths**2, rcond=None)[0]
     spread, axes = np.linalg.eigh([[a, b], [b, c]])
-    across = np.zeros(3)
-    across[level] = axes[:, 1]
-    return across, float(np.sqrt(spread[1] / max(spread[0], 0.1 * spread[1])))
+    shoulder_axis = np.zeros(3)
+    shoulder_axis[level] = axes[:, 1]
+    return shoulder_axis, float(np.sqrt(spread[1] / max(spread[0], 0.1 * spread[1])))
 
 
 def _paths(centres: Voxels, depths: Float[np.ndarray, " voxel"], pelvis: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "point 3"], ...]:
     graph = neighbours(centres)
     root = int(np.argmin(((centres - pelvis) ** 2).sum(axis=1)))
     inner = coo_array((graph.data / np.minimum(depths[graph.row], depths[graph.col]), (graph.row, graph.col)), graph.shape)
-    before = dijkstra(inner.tocsr(), directed=False, indices=root, return_predecessors=True)[1]
+    predecessors = dijkstra(inner.tocsr(), directed=False, indices=root, return_predecessors=True)[1]
     lengths, reached, paths = graph.tocsr(), np.array([root]), []
     for _ in range(MOST_TIPS):
         tip, distance = _farthest(lengths, reached)
         if distance < NEAREST_M:
             break
-        path = _path(before, tip)
+        path = _path(predecessors, tip)
         reached = np.union1d(reached, path)
         paths.append(_smooth(centres[path]))
     return tuple(paths)
@@ -218,10 +218,10 @@ def _farthest(lengths: csr_array, reached: Int[np.ndarray, " voxel"]) -> tuple[i
     return tip, float(distances[tip])
 
 
-def _path(before: Int[np.ndarray, " voxel"], tip: int) -> list[int]:
+def _path(predecessors: Int[np.ndarray, " voxel"], tip: int) -> list[int]:
     path = [tip]
-    while before[path[-1]] >= 0:
-        path.append(int(before[path[-1]]))
+    while predecessors[path[-1]] >= 0:
+        path.append(int(predecessors[path[-1]]))
     return path
 
 

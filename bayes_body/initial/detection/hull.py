@@ -93,11 +93,11 @@ def searched_box(cameras: Sequence[CameraSpec]) -> tuple[Float[np.ndarray, "3"],
     """Return the lowest and the highest corner of the searched box: it holds the cameras and the point nearest to all their axes, with a margin."""
     places = np.stack([-camera.rotation.T @ camera.translation_m for camera in cameras])
     axes = np.stack([camera.rotation[2] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None]
+    perpendicular = np.eye(3) - axes[:, :, None] * axes[:, None]
     # The small ridge is for parallel axes, which meet nowhere.
     ridge = 1e-2 * np.eye(3)
-    ahead = places.mean(axis=0) + 3.0 * axes.mean(axis=0)
-    middle = np.linalg.solve(across.sum(axis=0) + ridge, (across @ places[:, :, None]).sum(axis=0)[:, 0] + ridge @ ahead)
+    in_front = places.mean(axis=0) + 3.0 * axes.mean(axis=0)
+    middle = np.linalg.solve(perpendicular.sum(axis=0) + ridge, (perpendicular @ places[:, :, None]).sum(axis=0)[:, 0] + ridge @ in_front)
     corners = np.concatenate([places, middle[None]])
     return corners.min(axis=0) - MARGIN_M, corners.max(axis=0) + MARGIN_M
 

@@ -45,19 +45,19 @@ class Blob(NamedTuple):
 
 def blobs(picture: Colours, mask: Mask) -> list[Blob]:
     """Return the blobs of one view, the largest first; none without foreground."""
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    first_column, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     if width < 2 or height < 2:
         return []
     scale = HEIGHT_PX / max(width, height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    cut = slice(top, top + height), slice(left, left + width)
+    cut = slice(top, top + height), slice(first_column, first_column + width)
     small = cv2.resize(picture[cut], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     inside = cv2.resize(mask[cut].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     smooth = cv2.pyrMeanShiftFiltering(small, SPACE_PX, COLOUR, maxLevel=LEVELS)
     segments = _segments(np.asarray(smooth, np.uint8), inside)
     candidates = [_blob(smooth, piece) for segment in segments for piece in (segment, *_halves(segment))]
     # Pixels' centres: (u + 1/2) of the small picture is scale (u + 1/2) of the large one.
-    offset = np.array([left, top]) - 0.5 + 0.5 / scale
+    offset = np.array([first_column, top]) - 0.5 + 0.5 / scale
     return [Blob(b.middle / scale + offset, b.ends / scale + offset, b.radius / scale, b.colour) for b in candidates if _is_elongated(b)]
 
 
@@ -76,9 +76,9 @@ def _halves(segment: Mask) -> list[Mask]:
     if len(rows) < HALVED_PX:
         return []
     offsets = np.stack([columns, rows], axis=1) - (columns.mean(), rows.mean())
-    along = offsets @ np.linalg.eigh(offsets.T @ offsets)[1][:, 1]
+    lengthwise = offsets @ np.linalg.eigh(offsets.T @ offsets)[1][:, 1]
     pieces = [np.zeros_like(segment), np.zeros_like(segment)]
-    for piece, chosen in zip(pieces, (along < 0, along >= 0), strict=True):
+    for piece, chosen in zip(pieces, (lengthwise < 0, lengthwise >= 0), strict=True):
         piece[rows[chosen], columns[chosen]] = True
     return pieces
 
@@ -238,17 +238,17 @@ def _pair(scene: Scene, a: int, b: int, first: Sequence[Blob], second: Sequence[
     matches = [(p, q) for p in first for q in second if _same_colour(p.colour, q.colour)]
     if not matches:
         return _no_limbs()
-    left, right = (list(matched) for matched in zip(*matches, strict=True))
-    middles, errors = triangulate_pair(cameras, np.array([p.middle for p in left]), np.array([q.middle for q in right]))
+    first_blobs, second_blobs = (list(matched) for matched in zip(*matches, strict=True))
+    middles, errors = triangulate_pair(cameras, np.array([p.middle for p in first_blobs]), np.array([q.middle for q in second_blobs]))
     radii_px = np.array([min(p.radius, q.radius) for p, q in matches])
-    axes = _axes(cameras, left, right)
-    ends = [_ends(cameras[k], viewpoints[k], view_blobs, middles, axes) for k, view_blobs in enumerate((left, right))]
+    axes = _axes(cameras, first_blobs, second_blobs)
+    ends = [_ends(cameras[k], viewpoints[k], view_blobs, middles, axes) for k, view_blobs in enumerate((first_blobs, second_blobs))]
     lengths = np.abs(np.stack(ends)).mean(axis=0).mean(axis=1, keepdims=True)
     distances = np.linalg.norm(middles - viewpoints[:, None], axis=2)
     radii = np.mean(
         [
             [blob.radius for blob in view_blobs] * distance / max(camera.focal_px)
-            for view_blobs, distance, camera in zip((left, right), distances, cameras, strict=True)
+            for view_blobs, distance, camera in zip((first_blobs, second_blobs), distances, cameras, strict=True)
         ],
         axis=0,
     )
@@ -267,10 +267,10 @@ def _same_colour(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) 
     return bool(np.abs(first - second).max() < COLOURS)
 
 
-def _axes(cameras: Sequence[CameraSpec], left: Sequence[Blob], right: Sequence[Blob]) -> Float[np.ndarray, "limb 3"]:
+def _axes(cameras: Sequence[CameraSpec], first_blobs: Sequence[Blob], second_blobs: Sequence[Blob]) -> Float[np.ndarray, "limb 3"]:
     """Return the directions of the lines in which the two planes through camera and blob intersect; NaN where the planes nearly coincide."""
     normals = []
-    for camera, view_blobs in zip(cameras, (left, right), strict=True):
+    for camera, view_blobs in zip(cameras, (first_blobs, second_blobs), strict=True):
         ends = [rays(camera, np.array([blob.ends[k] for blob in view_blobs])) for k in (0, 1)]
         normal = np.cross(ends[0], ends[1])
         normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9))
@@ -291,7 +291,7 @@ def _ends(
     for k in (0, 1):
         ray = rays(camera, np.array([blob.ends[k] for blob in view_blobs]))
         offset = viewpoint - middles
-        along, both = (offset * axes).sum(axis=1), (ray * axes).sum(axis=1)
+        offset_on_axis, cosine = (offset * axes).sum(axis=1), (ray * axes).sum(axis=1)
         # The point of the axis that is nearest to the ray.
-        distances.append((along - both * (offset * ray).sum(axis=1)) / np.maximum(1 - both**2, 1e-3))
+        distances.append((offset_on_axis - cosine * (offset * ray).sum(axis=1)) / np.maximum(1 - cosine**2, 1e-3))
     return np.stack(distances, axis=1)

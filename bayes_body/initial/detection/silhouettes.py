@@ -62,9 +62,9 @@ class _Sketch:
         self.figure, self.voxels, self.stature, self.up = figure, voxels, stature, up
         self.upwards = np.eye(3)[up]
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        ahead = np.cross(figure.across, self.upwards)
+        forward = np.cross(figure.shoulder_axis, self.upwards)
         # Horizontal directions, the first along the chest's long axis; and their weights.
-        self.circle = np.cos(angles)[:, None] * figure.across + np.sin(angles)[:, None] * ahead
+        self.circle = np.cos(angles)[:, None] * figure.shoulder_axis + np.sin(angles)[:, None] * forward
         self.circle_weights = np.exp(ALONG * np.cos(2 * angles))
 
     def trunk(self) -> dict[str, Detections]:
@@ -74,8 +74,8 @@ class _Sketch:
             "head": self._crown(),
             "pelvis": landmark(figure.pelvis[None], SD_M["trunk"], unit_weight, NAME),
             "thorax": landmark(figure.thorax[None], SD_M["trunk"], unit_weight, NAME),
-            **_both("shoulder", landmark(self._ring(figure.thorax, HALF_SHOULDERS, 0.0), SD_M["shoulder"], self.circle_weights, NAME)),
-            **_both("hip", landmark(self._ring(figure.pelvis, HALF_HIPS, 0.0), SD_M["hip"], self.circle_weights, NAME)),
+            **_left_and_right("shoulder", landmark(self._ring(figure.thorax, HALF_SHOULDERS, 0.0), SD_M["shoulder"], self.circle_weights, NAME)),
+            **_left_and_right("hip", landmark(self._ring(figure.pelvis, HALF_HIPS, 0.0), SD_M["hip"], self.circle_weights, NAME)),
         }
 
     def _crown(self) -> Detections:
@@ -91,16 +91,16 @@ class _Sketch:
         """Return knees and ankles."""
         knees, ankles, _ = self._on_paths(self._legs())
         return {
-            **_both("ankle", _mixture(ankles, self._halves(ANKLES), SD_M["leg"])),
-            **_both("knee", _mixture(knees, self._halves(KNEES), SD_M["leg"])),
+            **_left_and_right("ankle", _mixture(ankles, self._halves(ANKLES), SD_M["leg"])),
+            **_left_and_right("knee", _mixture(knees, self._halves(KNEES), SD_M["leg"])),
         }
 
     def arms(self) -> dict[str, Detections]:
         """Return elbows and wrists."""
         elbows, wrists, _ = self._on_paths(self._arms())
         return {
-            **_both("wrist", _mixture(wrists, self._hanging(WRISTS), SD_M["arm"])),
-            **_both("elbow", _mixture(elbows, self._hanging(ELBOWS), SD_M["arm"])),
+            **_left_and_right("wrist", _mixture(wrists, self._hanging(WRISTS), SD_M["arm"])),
+            **_left_and_right("elbow", _mixture(elbows, self._hanging(ELBOWS), SD_M["arm"])),
         }
 
     def limbs(self) -> dict[str, Detections]:
@@ -109,8 +109,8 @@ class _Sketch:
         for inner, outer, joints, sd in (("calf", "foot", self._legs(), SD_M["leg"]), ("forearm", "hand", self._arms(), SD_M["arm"])):
             if joints:
                 first, second, tips = self._on_paths(joints)
-                mixtures |= _both(inner, segments(first, second, sd, np.ones(len(first)), NAME))
-                mixtures |= _both(outer, segments(second, tips, sd, np.ones(len(second)), NAME))
+                mixtures |= _left_and_right(inner, segments(first, second, sd, np.ones(len(first)), NAME))
+                mixtures |= _left_and_right(outer, segments(second, tips, sd, np.ones(len(second)), NAME))
         return {name: mixture for name, mixture in mixtures.items() if len(mixture.weights)}
 
     def _legs(self) -> list[Joints]:
@@ -124,7 +124,7 @@ class _Sketch:
         for path in self.figure.paths:
             is_head = np.linalg.norm(path[0] - self.figure.crown) < HEAD_TIP * self.figure.height
             if self._height(path[:1])[0] > FOOT_TIP + 0.1 and not is_head:
-                wrist = _along(path, HAND * self.stature)
+                wrist = _point_at(path, HAND * self.stature)
                 arms.append((_beyond(path, wrist, FOREARM * self.stature), wrist, path[0]))
         return arms
 
@@ -168,17 +168,17 @@ class _Sketch:
         # The means start at the two ends of the longest axis, so that the result does not depend on chance.
         offsets = section - section.mean(axis=0)
         offsets[:, self.up] = 0
-        along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
-        return kmeans2(section, section[[int(along.argmin()), int(along.argmax())]], minit="matrix")[0]
+        lengthwise = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+        return kmeans2(section, section[[int(lengthwise.argmin()), int(lengthwise.argmax())]], minit="matrix")[0]
 
     def _ankles(self, path: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "2 3"]:
         """Return two places of the ankle: where the path has risen from the sole (flat foot), and a foot's length from the tip (lifted foot)."""
         heights = path[:, self.up]
         sole = heights[: max(2, len(path) // 3)].min()
-        return np.stack([path[np.argmax(heights >= sole + 2 * ANKLE * self.stature)], _along(path, 0.9 * FOOT * self.stature)])
+        return np.stack([path[np.argmax(heights >= sole + 2 * ANKLE * self.stature)], _point_at(path, 0.9 * FOOT * self.stature)])
 
 
-def _both(name: str, detections: Detections) -> dict[str, Detections]:
+def _left_and_right(name: str, detections: Detections) -> dict[str, Detections]:
     return {"l_" + name: detections, "r_" + name: detections}
 
 
@@ -188,7 +188,7 @@ def _mixture(on_paths: Float[np.ndarray, "path 3"], guessed: Float[np.ndarray, "
     return merge(groups) or landmark(np.zeros((0, 3)), sd_m, np.zeros(0), NAME)
 
 
-def _along(path: Float[np.ndarray, "point 3"], length: float) -> Float[np.ndarray, "3"]:
+def _point_at(path: Float[np.ndarray, "point 3"], length: float) -> Float[np.ndarray, "3"]:
     """Return the point of a path at this length from its tip."""
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return np.array([np.interp(length, travelled, path[:, k]) for k in range(3)])
@@ -197,5 +197,5 @@ def _along(path: Float[np.ndarray, "point 3"], length: float) -> Float[np.ndarra
 def _beyond(path: Float[np.ndarray, "point 3"], point: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
     """Return the first point of a path from its tip that is farther than `length` from a point near the tip; the path's end if there is none."""
     start = int(np.argmin(((path - point) ** 2).sum(axis=1)))
-    far = np.linalg.norm(path[start:] - point, axis=1) >= length
-    return path[start + int(np.argmax(far))] if far.any() else path[-1]
+    is_beyond = np.linalg.norm(path[start:] - point, axis=1) >= length
+    return path[start + int(np.argmax(is_beyond))] if is_beyond.any() else path[-1]

@@ -58,11 +58,11 @@ def detect_standing(scene: Scene) -> Found:
 def _parts(floor: Float[np.ndarray, "3"], height: float, scene: Scene) -> dict[str, Detections]:
     """Return detections of pelvis, torso and head that face away from the camera, towards it, and to both sides."""
     up, view_direction = scene.upwards, _view_direction(floor, scene)
-    across = np.cross(up, view_direction)
+    sideways = np.cross(up, view_direction)
     # Along a part's axes: forward, left, and up.
     level = np.array([[SD_DEPTH_M, SD_ACROSS_M], [SD_ACROSS_M, SD_DEPTH_M]])[[0, 0, 1, 1]]
     sd_m = np.concatenate([level, np.full((4, 1), SD_HEIGHT_M)], axis=1)
-    facings = np.stack([view_direction, -view_direction, across, -across])
+    facings = np.stack([view_direction, -view_direction, sideways, -sideways])
     return {name: every_facing(floor + share * height * up, up, facings, sd_m, SD_TILT_RAD, np.ones(4), NAME) for name, share in MIDDLES.items()}
 
 

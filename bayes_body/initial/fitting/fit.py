@@ -51,8 +51,8 @@ def minimise[Parameters, Info](
         return (optax.apply_updates(parameters, optax.tree.scale(pace, direction)), state, info), None
 
     _, shape = jax.eval_shape(slope, start, jnp.ones((), dtype))
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
-    (parameters, _, info), _ = jax.lax.scan(step, (at_start, adam.init(at_start), nothing), jnp.linspace(0, 1, steps, dtype=dtype))
+    empty_info = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
+    (parameters, _, info), _ = jax.lax.scan(step, (at_start, adam.init(at_start), empty_info), jnp.linspace(0, 1, steps, dtype=dtype))
     return parameters, info
 
 
@@ -106,21 +106,21 @@ def fit(problem: Problem, up: int) -> Fit:
     descent = descend(problem, unbounded(problem, np.asarray(start.poses)[choose(start, STARTS)]), SEARCH, SEARCH_WIDTH)
     for key in keys[2:]:
         descent = descend(problem, _thrown(problem, key, np.asarray(descent.parameters)[_different(descent)]), SEARCH, THROW_WIDTH)
-    before = descent.order[0]
-    last = descend(problem, _jittered_starts(keys[1], np.asarray(descent.parameters)[before]), REFINE, 1.0)
+    best_start = descent.order[0]
+    last = descend(problem, _jittered_starts(keys[1], np.asarray(descent.parameters)[best_start]), REFINE, 1.0)
     best: Explained = jax.tree.map(lambda leaf: device_array(np.asarray(leaf)[last.order[0]], leaf.dtype), last.explained)
     if not np.isfinite(best.misfit):
         found_no = "session.toml: initial: the fit did not converge; expected finite numbers"
         raise InputError(f"{found_no}; check the calibration, or give the pose in angles.")
-    return Fit(best, float(np.asarray(descent.explained.misfit)[before] - best.misfit))
+    return Fit(best, float(np.asarray(descent.explained.misfit)[best_start] - best.misfit))
 
 
-def rest(problem: Problem) -> Pose:
+def fit_resting_pose(problem: Problem) -> Pose:
     """Return the body's resting pose: upright, with hanging limbs. The optimisation starts from the prior's mean, by the same program as `fit`."""
-    nothing = jax.tree.map(np.zeros_like, problem.measurements)
+    no_measurements = jax.tree.map(np.zeros_like, problem.measurements)
     poses = np.tile(problem.prior.mean, (STARTS, 1))
     heavy = problem.prior._replace(weights=np.asarray(WEIGHT * np.asarray(problem.points.hanging), poses.dtype))
-    hanging = descend(problem._replace(measurements=nothing, prior=heavy), unbounded(problem, poses), SEARCH, 1.0)
+    hanging = descend(problem._replace(measurements=no_measurements, prior=heavy), unbounded(problem, poses), SEARCH, 1.0)
     return device_array(np.asarray(hanging.explained.pose)[0], poses.dtype)
 
 
@@ -214,10 +214,10 @@ def _thrown(problem: Problem, key: Key, best: Float[Array, "kept parameter"]) ->
     parameters = jnp.tile(best, (-(-STARTS // best.shape[0]), 1))[:STARTS]
     skeleton = problem.body.skeleton
     poses = pose_of(skeleton, parameters[:, :count])
-    which, where = jax.random.split(key)
-    joints = jax.random.uniform(which, (STARTS, len(topology.joint_names))) < THROWN
+    joints_key, angles_key = jax.random.split(key)
+    joints = jax.random.uniform(joints_key, (STARTS, len(topology.joint_names))) < THROWN
     joints = joints.at[:, 0].set(False).at[: best.shape[0]].set(False)
     owner = {motion.dof: j for j, motions in enumerate(topology.motions) for motion in motions}
     redrawn = joints[:, jnp.array([owner[k] for k in range(count)])]
-    thrown = unbounded(problem, random_poses(skeleton, where, poses))[:, :count]
+    thrown = unbounded(problem, random_poses(skeleton, angles_key, poses))[:, :count]
     return parameters.at[:, :count].set(jnp.where(redrawn, thrown, parameters[:, :count]))

@@ -91,9 +91,9 @@ def _check_enough(session: Session, points: Points, markers: Float[np.ndarray, "
         raise InputError(
             f"{PREFIX}.keypoints_px: every confidence is 0; expected some above 0; give keypoints that were found, or the pose in angles."
         )
-    known = (markers > 0) | (weights > 0).any(axis=0)
+    is_given = (markers > 0) | (weights > 0).any(axis=0)
     body = [name for name in points.names if name not in FACE]
-    measured = [name for name, is_known in zip(points.names, known, strict=True) if is_known and name in body]
+    measured = [name for name, is_known in zip(points.names, is_given, strict=True) if is_known and name in body]
     fewest = min(FEWEST, len(body))
     if len(measured) < fewest:
         problem = f"{len(measured)} points of the body ({', '.join(measured) or 'none'})"

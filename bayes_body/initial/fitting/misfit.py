@@ -102,14 +102,14 @@ def distances(problem: Problem, places: Places) -> Distances:
     return Distances(_norm(places - problem.measurements.markers), problem.tolerance, pixels, pixels_sd)
 
 
-def potential(problem: Problem, places: Places, far: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
-    """Return U of a pose whose points are at `places`, with distances `far` from the measurements.
+def potential(problem: Problem, places: Places, missed: Distances, pose: Pose, z: Float[Array, " group"], width: Scalar | float) -> Scalar:
+    """Return U of a pose whose points are at `places`, with distances `missed` from the measurements.
 
     Every standard deviation is multiplied by `width`. A large width gives a useful gradient to a fit that starts far from the solution.
     """
     measurements = problem.measurements
-    markers = _robust(far.metres, width * far.metres_sd, measurements.marker_weights, 3)
-    keypoints = _robust(far.pixels, width * far.pixels_sd, measurements.pixel_weights, 2)
+    markers = _robust(missed.metres, width * missed.metres_sd, measurements.marker_weights, 3)
+    keypoints = _robust(missed.pixels, width * missed.pixels_sd, measurements.pixel_weights, 2)
     return markers + keypoints + _surprise(problem, places, pose) + 0.5 * jnp.sum(z * z)
 
 
@@ -134,9 +134,9 @@ def explain(problem: Problem, parameters: Parameters, width: Scalar | float) -> 
     """Return U of unconstrained parameters (see `potential`), and the posed body it belongs to."""
     pose, z = split(problem, parameters)
     places = places_of(problem, pose, z)
-    far = distances(problem, places)
-    value = potential(problem, places, far, pose, z, width)
-    return value, Explained(value, pose, z, places, far)
+    missed = distances(problem, places)
+    value = potential(problem, places, missed, pose, z, width)
+    return value, Explained(value, pose, z, places, missed)
 
 
 def places_of(problem: Problem, pose: Pose, z: Float[Array, " group"]) -> Places:

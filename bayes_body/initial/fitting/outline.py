@@ -80,12 +80,12 @@ def fit_outline(model: Model, session: Session) -> Outline:
     cameras, silhouettes = _silhouettes(session)
     rig = jax.tree.map(lambda leaf: np.asarray(leaf)[np.array(cameras)], placed.rig)
     groups = np.asarray(_groups(model.body), model.body.lengths.dtype)
-    logs, before, after = _fit(model.body.by_angles, rig, model.first_pose, groups, silhouettes)
-    if float(before) < LEAST_OVERLAP:
-        return Outline({}, float(before), float(before))
+    logs, start_overlap, overlap = _fit(model.body.by_angles, rig, model.first_pose, groups, silhouettes)
+    if float(start_overlap) < LEAST_OVERLAP:
+        return Outline({}, float(start_overlap), float(start_overlap))
     radii = np.asarray(_thick(model.body, groups, logs).outline_radii, float)
     names = model.body.topology.names
-    return Outline({name: (float(base), float(tip)) for name, (base, tip) in zip(names, radii, strict=True)}, float(before), float(after))
+    return Outline({name: (float(base), float(tip)) for name, (base, tip) in zip(names, radii, strict=True)}, float(start_overlap), float(overlap))
 
 
 def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
@@ -138,8 +138,8 @@ def _overlap(body: Body, rig: Camera, pose: Pose, silhouettes: Silhouettes) -> S
     def iou(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
         distance = signed_distance(body.topology, forms, columns, rows)
         covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
-        both = jnp.sum(inside * covered)
-        return both / (jnp.sum(inside) + jnp.sum(covered) - both)
+        intersection = jnp.sum(inside * covered)
+        return intersection / (jnp.sum(inside) + jnp.sum(covered) - intersection)
 
     return jnp.mean(jax.vmap(iou)(outline_forms(body, rig, pose), *silhouettes))
 
@@ -155,5 +155,5 @@ def _fit(
         return 1 - overlap + 0.5 * PULL * jnp.sum(logs**2), overlap
 
     start = jnp.zeros(groups.shape[0], groups.dtype)
-    logs, after = minimise(lambda logs, _: jax.grad(loss, has_aux=True)(logs), start, RATE, STEPS)
-    return logs, _overlap(body, rig, pose, silhouettes), after
+    logs, overlap = minimise(lambda logs, _: jax.grad(loss, has_aux=True)(logs), start, RATE, STEPS)
+    return logs, _overlap(body, rig, pose, silhouettes), overlap

@@ -120,18 +120,18 @@ def _facing(body: Body) -> Float[Array, "3 3"] | None:
     pairs = [(name, "r_" + name[2:]) for name in names if name.startswith("l_") and "r_" + name[2:] in names]
     if "head" not in names or not pairs:
         return None
-    left, right = (names.index(name) for name in pairs[0])
-    return _head_frame(body, names.index("head"), left, right)
+    left_marker, right_marker = (names.index(name) for name in pairs[0])
+    return _head_frame(body, names.index("head"), left_marker, right_marker)
 
 
-@partial(jax.jit, static_argnames=("crown", "left", "right"), compiler_options=FAST_COMPILE)
-def _head_frame(body: Body, crown: int, left: int, right: int) -> Float[Array, "3 3"]:
+@partial(jax.jit, static_argnames=("crown", "left_marker", "right_marker"), compiler_options=FAST_COMPILE)
+def _head_frame(body: Body, crown: int, left_marker: int, right_marker: int) -> Float[Array, "3 3"]:
     markers, T_world_joints = body.markers, forward_kinematics(body.skeleton, jnp.zeros(len(body.dof_names), body.lengths.dtype))
-    places = [transforms.apply(transforms.pick(T_world_joints, markers.joints[m]), markers.offsets[m]) for m in (crown, left, right)]
+    places = [transforms.apply(transforms.pick(T_world_joints, markers.joints[m]), markers.offsets[m]) for m in (crown, left_marker, right_marker)]
     T_world_head = transforms.pick(T_world_joints, markers.joints[crown])
     up = transforms.unit(places[0] - T_world_head.origin)
-    across = places[1] - places[2]
-    aside = transforms.unit(across - transforms.dot(across, up) * up)
+    sideways = places[1] - places[2]
+    aside = transforms.unit(sideways - transforms.dot(sideways, up) * up)
     rows = [jnp.cross(aside, up), aside, up]
     return jnp.stack([jnp.stack([transforms.dot(axis, row) for axis in (T_world_head.x, T_world_head.y, T_world_head.z)]) for row in rows])
 
@@ -165,17 +165,17 @@ class Scaling(NamedTuple):
 
 def fixed(body: Body) -> Scaling:
     """Return the scaling of a body with constant lengths: it has no parameters."""
-    none = jax.tree.map(lambda leaf: device_array(np.zeros((0, *leaf.shape)), leaf.dtype), fields(body))
+    no_fields = jax.tree.map(lambda leaf: device_array(np.zeros((0, *leaf.shape)), leaf.dtype), fields(body))
     dtype = body.lengths.dtype
-    return Scaling(device_array(np.zeros(0), dtype), device_array(np.zeros((0, 0)), dtype), none)
+    return Scaling(device_array(np.zeros(0), dtype), device_array(np.zeros((0, 0)), dtype), no_fields)
 
 
 def scaling(body: Body, schema: BodySchema) -> Scaling:
     """Return the scaling in which all lengths of a body are parameters; left and right share one."""
     names = tuple(schema.lengths_of_height)
-    none = dict.fromkeys(names, 0.0)
-    constant = _flat(build_body(body.name, schema, Shape(1.0, none)))
-    rows = np.stack([_flat(build_body(body.name, schema, Shape(1.0, none | {name: 1.0}))) - constant for name in names])
+    no_lengths = dict.fromkeys(names, 0.0)
+    constant = _flat(build_body(body.name, schema, Shape(1.0, no_lengths)))
+    rows = np.stack([_flat(build_body(body.name, schema, Shape(1.0, no_lengths | {name: 1.0}))) - constant for name in names])
     # The lengths with which this body was built; a length on which nothing depends is 0 here.
     values = np.linalg.lstsq(rows.T, _flat(body) - constant, rcond=None)[0]
     dtype = body.lengths.dtype

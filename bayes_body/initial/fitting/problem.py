@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from bayes_body.base.geometry.namespaces import device_array
-from bayes_body.initial.fitting.fit import rest
+from bayes_body.initial.fitting.fit import fit_resting_pose
 from bayes_body.initial.fitting.measurements import Measurements
 from bayes_body.initial.fitting.misfit import Prior, Problem
 from bayes_body.initial.fitting.points import Points, fixed, scaling
@@ -36,7 +36,7 @@ def build_problem(model: Model, session: Session, points: Points, measurements: 
         prior=_prior(body, session, points),
     )
     has_value = np.array([name in session.initial for name in body.dof_names])
-    mean = np.where(has_value, problem.prior.mean, rest(problem))
+    mean = np.where(has_value, problem.prior.mean, fit_resting_pose(problem))
     return problem._replace(prior=problem.prior._replace(mean=device_array(mean, dtype)))
 
 

@@ -62,10 +62,10 @@ class _Row(NamedTuple):
 
 
 def tell(
-    session: Session, points: Points, measurements: Measurements, far: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]
+    session: Session, points: Points, measurements: Measurements, missed: Distances, pose: Float[Array, " dof"], lengths: Mapping[str, float]
 ) -> FirstPose:
     """Return the report of a fit, with remarks on points that were treated as wrong, and on markers or a camera that fit badly as a whole."""
-    markers, cameras = _marker_rows(points, measurements, far), _keypoint_rows(session, points, measurements, far)
+    markers, cameras = _marker_rows(points, measurements, missed), _keypoint_rows(session, points, measurements, missed)
     groups = [markers, *cameras.values()]
     return FirstPose(
         pose=pose,
@@ -80,13 +80,13 @@ def tell(
     )
 
 
-def _marker_rows(points: Points, measurements: Measurements, far: Distances) -> list[_Row]:
-    metres, sd = np.asarray(far.metres), np.asarray(far.metres_sd)
+def _marker_rows(points: Points, measurements: Measurements, missed: Distances) -> list[_Row]:
+    metres, sd = np.asarray(missed.metres), np.asarray(missed.metres_sd)
     return [_Row(None, points.names[k], float(metres[k]), float(sd[k])) for k in np.flatnonzero(measurements.marker_weights)]
 
 
-def _keypoint_rows(session: Session, points: Points, measurements: Measurements, far: Distances) -> dict[str, list[_Row]]:
-    pixels, sd = np.asarray(far.pixels), np.asarray(far.pixels_sd)
+def _keypoint_rows(session: Session, points: Points, measurements: Measurements, missed: Distances) -> dict[str, list[_Row]]:
+    pixels, sd = np.asarray(missed.pixels), np.asarray(missed.pixels_sd)
     return {
         view.camera.name: [
             _Row(view.camera.name, points.names[k], float(pixels[c, k]), float(sd[c, k])) for k in np.flatnonzero(measurements.pixel_weights[c])

@@ -62,8 +62,8 @@ def candidates(problem: Problem, up: int, key: Key) -> Candidates:
 @partial(jax.jit, static_argnames="up", compiler_options=FAST_COMPILE)
 def _candidates(problem: Problem, grid: Float[Array, "orientation angle"], up: int, key: Key) -> Candidates:
     skeleton = problem.body.skeleton
-    still = jnp.broadcast_to(problem.prior.mean, (grid.shape[0], problem.prior.mean.shape[0]))
-    poses = jnp.concatenate([still, random_poses(skeleton, key, still)])
+    mean_poses = jnp.broadcast_to(problem.prior.mean, (grid.shape[0], problem.prior.mean.shape[0]))
+    poses = jnp.concatenate([mean_poses, random_poses(skeleton, key, mean_poses)])
     poses = inside(skeleton, poses.at[:, jnp.array(_root_angles(problem.body), int)].set(jnp.concatenate([grid, grid])))
 
     def candidate(pose: Pose) -> Candidates:
@@ -129,8 +129,8 @@ def _moved(problem: Problem, pose: Pose) -> tuple[Pose, Places]:
     topology, dtype = problem.body.skeleton.topology, pose.dtype
     shifts = jnp.array([k for k, angular in enumerate(topology.angular) if not angular], int)
     settings = jnp.concatenate([jnp.zeros((1, shifts.size), dtype), jnp.eye(shifts.size, dtype=dtype)])
-    none = jnp.zeros(problem.scaling.groups.shape[1], dtype)
-    a, *moved = jax.vmap(lambda s: places_of(problem, pose.at[shifts].set(s), none))(settings)
+    no_scaling = jnp.zeros(problem.scaling.groups.shape[1], dtype)
+    a, *moved = jax.vmap(lambda s: places_of(problem, pose.at[shifts].set(s), no_scaling))(settings)
     if not moved:
         return pose, a
     J = jnp.stack(moved, axis=-1) - a[:, :, None]

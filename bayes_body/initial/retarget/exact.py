@@ -41,7 +41,7 @@ class Angles(NamedTuple):
     """Angles of one joint over time, radians, and the remaining rotation that they do not reproduce in each frame, radians."""
 
     values: Float[np.ndarray, "frame turn"]
-    left: Float[np.ndarray, " frame"]
+    residual: Float[np.ndarray, " frame"]
 
 
 def angles_of(
@@ -65,14 +65,14 @@ def angles_of(
         return Angles(np.zeros((len(rotations), 0)), Rotation.from_matrix(rotations).magnitude())
     if count > 3 or any(a == b for a, b in pairwise(axes)):
         return None
-    both = _both(rotations, axes) * np.asarray(signs)
-    chains = [_chained(both, _into(both[0, branch], low, high)) for branch in range(2)]
+    solutions = _solve_angles(rotations, axes) * np.asarray(signs)
+    chains = [_chained(solutions, _into(solutions[0, branch], low, high)) for branch in range(2)]
     residuals = [_residual(rotations, chain, axes, signs) for chain in chains]
     chosen = min(range(2), key=lambda k: (residuals[k].max() > residuals[1 - k].max() + 1e-9, *_cost(chains[k], low, high)))
     return Angles(chains[chosen], residuals[chosen])
 
 
-def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Float[np.ndarray, "frame 2 turn"]:
+def _solve_angles(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Float[np.ndarray, "frame 2 turn"]:
     """Return the two solutions for the angles of every rotation, cut to the number of axes."""
     unused_axes = [axis for axis in range(3) if axis not in axes]
     order = [*axes, *unused_axes][:3]
@@ -85,13 +85,13 @@ def _both(rotations: Float[np.ndarray, "frame 3 3"], axes: Sequence[int]) -> Flo
     return np.stack([first_solution, second_solution], axis=1)[..., : len(axes)]
 
 
-def _chained(both: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, " turn"]) -> Float[np.ndarray, "frame turn"]:
+def _chained(solutions: Float[np.ndarray, "frame 2 turn"], start: Float[np.ndarray, " turn"]) -> Float[np.ndarray, "frame turn"]:
     """Return one solution for each frame, starting near `start`: the solution that is nearer to the frame before, up to full turns."""
-    chain = np.empty((len(both), both.shape[-1]))
-    before = start
-    for t, two in enumerate(both):
-        near = two - FULL * np.round((two - before) / FULL)
-        before = chain[t] = near[np.abs(near - before).sum(axis=1).argmin()]
+    chain = np.empty((len(solutions), solutions.shape[-1]))
+    previous = start
+    for t, two in enumerate(solutions):
+        candidates = two - FULL * np.round((two - previous) / FULL)
+        previous = chain[t] = candidates[np.abs(candidates - previous).sum(axis=1).argmin()]
     return chain
 
 
@@ -110,8 +110,8 @@ def _cost(chain: Float[np.ndarray, "frame turn"], low: Float[np.ndarray, " turn"
 def _residual(
     rotations: Float[np.ndarray, "frame 3 3"], values: Float[np.ndarray, "frame turn"], axes: Sequence[int], signs: Sequence[int]
 ) -> np.ndarray:
-    again = Rotation.from_euler("".join("XYZ"[axis] for axis in axes), values * np.asarray(signs))
-    return (again.inv() * Rotation.from_matrix(rotations)).magnitude()
+    composed = Rotation.from_euler("".join("XYZ"[axis] for axis in axes), values * np.asarray(signs))
+    return (composed.inv() * Rotation.from_matrix(rotations)).magnitude()
 
 
 # Differences up to these count as zero: of offsets in metres, of rotations in radians.
@@ -164,14 +164,14 @@ def with_ends(body: Body, exact: Exact, points: Float[np.ndarray, "frame marker 
     """Estimate the lengths that no joint's offset depends on, such as a forearm's, from the motion's points (metres, NaN where unknown)."""
     joints, markers = np.asarray(change.contributions.joints, float), np.asarray(change.contributions.markers, float)
     free = ~joints.any(axis=(1, 2))
-    known = np.isfinite(points).all(axis=(0, 2))
-    marker_joints = np.array(body.markers.joints)[known]
+    is_measured = np.isfinite(points).all(axis=(0, 2))
+    marker_joints = np.array(body.markers.joints)[is_measured]
     marker_offsets = np.einsum(
-        "fmba,fmb->fma", exact.placed.rotations[:, marker_joints], points[:, known] - exact.placed.places[:, marker_joints]
+        "fmba,fmb->fma", exact.placed.rotations[:, marker_joints], points[:, is_measured] - exact.placed.places[:, marker_joints]
     ).mean(axis=0)
-    missing = marker_offsets - np.asarray(body.markers.offsets, float)[known] - np.tensordot(exact.factors - 1, markers[:, known], 1)
+    missing = marker_offsets - np.asarray(body.markers.offsets, float)[is_measured] - np.tensordot(exact.factors - 1, markers[:, is_measured], 1)
     growth = np.zeros(len(free))
-    growth[free] = np.linalg.lstsq(markers[free][:, known].reshape(int(free.sum()), -1).T, missing.ravel(), rcond=None)[0]
+    growth[free] = np.linalg.lstsq(markers[free][:, is_measured].reshape(int(free.sum()), -1).T, missing.ravel(), rcond=None)[0]
     return exact._replace(factors=exact.factors + growth)
 
 
@@ -228,9 +228,9 @@ def _offsets(body: Body, frames: Placed, change: Scaling | None) -> tuple[Float[
     if change is None:
         return np.zeros(0), offsets
     contributions = np.asarray(change.contributions.joints, float)
-    still = [j for j, dofs in enumerate(body.skeleton.topology.motions) if not any(dof.is_shift for dof in dofs)]
-    missing = (frames.places.mean(axis=0) - offsets)[still].ravel()
-    growth = np.linalg.lstsq(contributions[:, still].reshape(len(contributions), -1).T, missing, rcond=None)[0]
+    fixed_joints = [j for j, dofs in enumerate(body.skeleton.topology.motions) if not any(dof.is_shift for dof in dofs)]
+    missing = (frames.places.mean(axis=0) - offsets)[fixed_joints].ravel()
+    growth = np.linalg.lstsq(contributions[:, fixed_joints].reshape(len(contributions), -1).T, missing, rcond=None)[0]
     return 1 + growth, offsets + np.tensordot(growth, contributions, 1)
 
 
@@ -241,7 +241,7 @@ def _taken_apart(
     turns = [dof for dof in dofs if not dof.is_shift]
     low, high = (np.asarray(side, float)[[dof.dof for dof in turns]] for side in (skeleton.low, skeleton.high))
     angles = angles_of(rotation, [dof.axis for dof in turns], [dof.sign for dof in turns], low, high)
-    if angles is None or angles.left.max() > ANGLE:
+    if angles is None or angles.residual.max() > ANGLE:
         return None
     values, directions = np.zeros((len(rotation), len(dofs))), []
     turned, k = np.broadcast_to(np.eye(3), rotation.shape), 0
@@ -253,9 +253,9 @@ def _taken_apart(
             turned, k = turned @ _turn(dof.axis, dof.sign * values[:, i]), k + 1
     if directions:
         A = np.stack([direction for _, direction in directions], axis=2)
-        along = np.einsum("fsa,fa->fs", np.linalg.pinv(A), shift)
-        shift = shift - np.einsum("fas,fs->fa", A, along)
-        values[:, [i for i, _ in directions]] = along
+        shifts = np.einsum("fsa,fa->fs", np.linalg.pinv(A), shift)
+        shift = shift - np.einsum("fas,fs->fa", A, shifts)
+        values[:, [i for i, _ in directions]] = shifts
     return values if np.linalg.norm(shift, axis=1).max() <= OFFSET_M else None
 
 

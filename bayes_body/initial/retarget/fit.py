@@ -52,7 +52,7 @@ class Motion(NamedTuple):
     """Landmarks, metres, 0 where they are unknown; a mask, 1 for those that are known; and the time between frames, s."""
 
     places: Frames
-    known: Float[Array, "frame marker"]
+    mask: Float[Array, "frame marker"]
     step_s: Scalar
 
 
@@ -64,12 +64,12 @@ def fit_motion(problem: Problem, places: Float[np.ndarray, "frame marker 3"], fp
     """
     dtype, frames = problem.body.lengths.dtype, len(places)
     places = filled(places, np.nan)
-    known = np.isfinite(places).all(axis=-1)
-    motion = Motion(jnp.asarray(np.where(known[..., None], places, 0.0), dtype), jnp.asarray(known, dtype), jnp.asarray(1 / fps, dtype))
-    first = int(known.sum(axis=1).argmax())
+    is_measured = np.isfinite(places).all(axis=-1)
+    motion = Motion(jnp.asarray(np.where(is_measured[..., None], places, 0.0), dtype), jnp.asarray(is_measured, dtype), jnp.asarray(1 / fps, dtype))
+    first = int(is_measured.sum(axis=1).argmax())
     best, _ = search(problem._replace(measurements=landmarks_of_frame(places[first], dtype)), UP)
     started = follow(problem, motion, best.pose, best.z, jnp.asarray(_order(first, len(places))), jnp.asarray(first))
-    solution = together(problem, motion, started, best.z)
+    solution = fit_together(problem, motion, started, best.z)
     return Fitted(solution.poses[:frames], solution.z)
 
 
@@ -89,17 +89,17 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
     start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
     usual = _by_unit(problem, SPEEDS)
 
-    def fit_frame(before: Pose, frame: Index) -> tuple[Pose, Pose]:
+    def fit_frame(previous_x: Pose, frame: Index) -> tuple[Pose, Pose]:
         # The frame before `first` starts from the first pose, not from the solution of the last frame.
-        before = jnp.where(frame == first - 1, start, before)
+        previous_x = jnp.where(frame == first - 1, start, previous_x)
 
         def misfit(x: Pose) -> Scalar:
             pose = pose_of(problem.body.skeleton, x)
             # Adam's steps do not depend on the gradient's size: without this term it would drift in directions that the landmarks do not determine.
-            moved = (pose - pose_of(problem.body.skeleton, before)) / (usual * motion.step_s)
-            return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.known[frame]) + 0.5 * jnp.sum(moved**2)
+            moved = (pose - pose_of(problem.body.skeleton, previous_x)) / (usual * motion.step_s)
+            return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.mask[frame]) + 0.5 * jnp.sum(moved**2)
 
-        x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), before, FOLLOW_RATE, FOLLOW_STEPS)
+        x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), previous_x, FOLLOW_RATE, FOLLOW_STEPS)
         return x, x
 
     _, solutions = jax.lax.scan(fit_frame, start, order)
@@ -112,7 +112,7 @@ class _Parameters(NamedTuple):
 
 
 @jax.jit(compiler_options=FAST_COMPILE)
-def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
+def fit_together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: Float[Array, " group"]) -> Fitted:
     """Fit all frames and the lengths together, starting from unconstrained angles `x` and length parameters `z`."""
     optimum, _ = minimise(lambda p, _: (jax.grad(_misfit, argnums=2)(problem, motion, p), ()), _Parameters(x, z), RATE, STEPS)
     return Fitted(pose_of(problem.body.skeleton, optimum.x), optimum.z)
@@ -120,14 +120,14 @@ def together(problem: Problem, motion: Motion, x: Float[Array, "frame dof"], z: 
 
 def _misfit(problem: Problem, motion: Motion, parameters: _Parameters) -> Scalar:
     poses, body = pose_of(problem.body.skeleton, parameters.x), scaled(problem.body, problem.scaling, parameters.z)
-    misfits = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.known)
+    misfits = jax.vmap(_misfit_of_frame, (None, None, 0, 0, 0))(problem, body, poses, motion.places, motion.mask)
     return jnp.sum(misfits) + 0.5 * jnp.sum(parameters.z**2) + _jerkiness(problem, poses, motion.step_s)
 
 
-def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Array, "marker 3"], known: Float[Array, " marker"]) -> Scalar:
+def _misfit_of_frame(problem: Problem, body: Body, pose: Pose, markers: Float[Array, "marker 3"], weights: Float[Array, " marker"]) -> Scalar:
     missed = jnp.sum((marker_positions(body.skeleton, body.markers, pose) - markers) ** 2, axis=1)
     robust = 0.5 * (NU + 3) * jnp.log1p(missed / (NU * problem.tolerance**2))
-    return jnp.sum(known * robust) + 0.5 * jnp.sum(((pose - problem.prior.mean) / problem.prior.sd) ** 2)
+    return jnp.sum(weights * robust) + 0.5 * jnp.sum(((pose - problem.prior.mean) / problem.prior.sd) ** 2)
 
 
 def _by_unit(problem: Problem, values: tuple[float, float]) -> Pose:

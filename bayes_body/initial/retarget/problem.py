@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.geometry.camera import Camera
-from bayes_body.initial.fitting.fit import rest
+from bayes_body.initial.fitting.fit import fit_resting_pose
 from bayes_body.initial.fitting.measurements import Measurements
 from bayes_body.initial.fitting.misfit import Prior, Problem
 from bayes_body.initial.fitting.points import Points, fixed, scaling
@@ -35,15 +35,16 @@ def build_problem(body: Body, schema: BodySchema | None) -> Problem:
         tolerance=jnp.asarray(points.tolerance_m, dtype),
         prior=_prior(body, dtype),
     )
-    return problem._replace(prior=problem.prior._replace(mean=rest(problem)))
+    return problem._replace(prior=problem.prior._replace(mean=fit_resting_pose(problem)))
 
 
 def landmarks_of_frame(places: Float[np.ndarray, "point 3"], dtype: jnp.dtype) -> Measurements:
     """Return the positions of the body's points in one frame (metres, NaN where unknown) as measurements."""
-    known = np.isfinite(places).all(axis=-1)
-    none = jnp.zeros((0, len(places)), dtype)
-    markers = jnp.asarray(np.where(known[:, None], places, 0.0), dtype)
-    return Measurements(markers, jnp.asarray(known, dtype), none[..., None] * jnp.zeros(2, dtype), none[..., None] * jnp.zeros(2, dtype), none)
+    is_measured = np.isfinite(places).all(axis=-1)
+    no_weights = jnp.zeros((0, len(places)), dtype)
+    no_pixels = no_weights[..., None] * jnp.zeros(2, dtype)
+    markers = jnp.asarray(np.where(is_measured[:, None], places, 0.0), dtype)
+    return Measurements(markers, jnp.asarray(is_measured, dtype), no_pixels, no_pixels, no_weights)
 
 
 def places_of(body: Body, landmarks: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frame marker 3"]:
@@ -78,7 +79,7 @@ def _prior(body: Body, dtype: jnp.dtype) -> Prior:
 
 
 def _no_camera(dtype: jnp.dtype) -> Camera:
-    def none(*shape: int) -> Array:
+    def empty_array(*shape: int) -> Array:
         return jnp.zeros((0, *shape), dtype)
 
-    return Camera(none(3, 3), none(3), none(2), none(2), none(), none(5), none(), none(2))
+    return Camera(empty_array(3, 3), empty_array(3), empty_array(2), empty_array(2), empty_array(), empty_array(5), empty_array(), empty_array(2))

@@ -72,10 +72,10 @@ class Residual(NamedTuple):
 
 def summed_up(residual_m: Float[np.ndarray, "frame marker"]) -> Residual:
     """Return a summary of the distances; NaN values are ignored."""
-    known = 1000 * residual_m[np.isfinite(residual_m)]
-    if not known.size:
+    residual_mm = 1000 * residual_m[np.isfinite(residual_m)]
+    if not residual_mm.size:
         return Residual(float("nan"), float("nan"), float("nan"))
-    return Residual(float(known.mean()), float(np.percentile(known, 95)), float(known.max()))
+    return Residual(float(residual_mm.mean()), float(np.percentile(residual_mm, 95)), float(residual_mm.max()))
 
 
 # With fewer known points in the best frame, the pose would be arbitrary.
@@ -170,12 +170,12 @@ def _fitted(body: Body, points: Landmarks, fps: float | None, schema: BodySchema
 
 
 def _check_enough(body: Body, points: Landmarks, places: Float[np.ndarray, "frame marker 3"], name: str) -> None:
-    known = np.isfinite(places).all(axis=-1)
+    is_measured = np.isfinite(places).all(axis=-1)
     fewest = min(FEWEST, len(body.markers.names))
-    if known.size and known.sum(axis=1).max() >= fewest:
+    if is_measured.size and is_measured.sum(axis=1).max() >= fewest:
         return
     shared = [marker for marker in body.markers.names if marker in points]
-    problem = f"{', '.join(shared) or 'none'} of the body's points" if known.size else "no frame"
+    problem = f"{', '.join(shared) or 'none'} of the body's points" if is_measured.size else "no frame"
     expected = f"a frame with at least {fewest} of {', '.join(body.markers.names)}"
     raise input_error(name, problem, expected, "name its points as the body does, or capture more of them")
 
@@ -204,5 +204,5 @@ def _jumps(body: Body, angles: Float[np.ndarray, "frame dof"]) -> Iterator[str]:
     angular = np.array(body.skeleton.topology.angular)
     steps = np.abs(np.diff(angles, axis=0))
     for k in np.flatnonzero(angular & (steps > JUMP).any(axis=0)) if len(steps) else ():
-        frame, far = int(steps[:, k].argmax()) + 1, math.degrees(steps[:, k].max())
-        yield f"{body.dof_names[k]} moves by {far:.0f} degrees at frame {frame}: check that frame before you trust the motion"
+        frame, degrees = int(steps[:, k].argmax()) + 1, math.degrees(steps[:, k].max())
+        yield f"{body.dof_names[k]} moves by {degrees:.0f} degrees at frame {frame}: check that frame before you trust the motion"

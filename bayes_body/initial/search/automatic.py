@@ -71,13 +71,13 @@ def nobody_first(session: Session) -> str | None:
     try:
         if shows_somebody(session, 0):
             return None
-        later = later_frame(session)
+        later_index = later_frame(session)
     except InputError as error:
         return f"It is not known whether somebody is in frame {first}: {error}"
-    if later is None:
+    if later_index is None:
         return f"Nobody is detected in frame {first}, nor in {LOOKED_AT} s after it: check the silhouettes, or give keypoints."
-    remedy = f"import again with --first-frame {session.frame_number(later)} --overwrite, or give the same option to `bayes-body track`"
-    return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later)}: {remedy}."
+    remedy = f"import again with --first-frame {session.frame_number(later_index)} --overwrite, or give the same option to `bayes-body track`"
+    return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later_index)}: {remedy}."
 
 
 # The definition whose likelihood compares the body with the silhouette, and the silhouette with the body.
@@ -160,10 +160,10 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     placed = judge.at(measured_frame.cameras) if session.moves else judge
     density = everywhere(placed.density(placed.observe(measured_frame), placed.start(1)))
     # Each facing keeps its share: one frame must not change what several frames have decided.
-    ahead = _is_ahead(person)[_taken(person, seed)]
+    is_main_way = _is_ahead(person)[_taken(person, seed)]
     refined = [
         refine(model, density, np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), int(way.sum()), seed)
-        for way in (ahead, ~ahead)
+        for way in (is_main_way, ~is_main_way)
         if way.any()
     ]
     draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
@@ -208,16 +208,16 @@ def fit_to(model: Model, session: Session, person: Found, seed: int = 0) -> Firs
     Raises:
         InputError: the body has too few markers, or the fit did not converge.
     """
-    known = known_markers(model)
-    if known < FEWEST:
-        _nothing(f"no first pose, and the model's body has {known} of the markers that are searched for, fewer than {FEWEST}", model)
+    marker_count = known_markers(model)
+    if marker_count < FEWEST:
+        _raise_no_pose(f"no first pose, and the model's body has {marker_count} of the markers that are searched for, fewer than {FEWEST}", model)
     points = body_points(model.body.by_angles)
     taken = _taken(person, seed)
-    drawn, ahead = person.draws[taken], _is_ahead(person)[taken]
+    drawn, is_main_way = person.draws[taken], _is_ahead(person)[taken]
     estimate, poses = _fit_way(model, session, points, person.names, person.markers, drawn)
-    if not ahead.all():
+    if not is_main_way.all():
         # Bodies that face the other way cannot start from the fit of the main way.
-        poses = np.where(ahead[:, None], poses, _fit_way(model, session, points, person.names, drawn[~ahead].mean(axis=0), drawn)[1])
+        poses = np.where(is_main_way[:, None], poses, _fit_way(model, session, points, person.names, drawn[~is_main_way].mean(axis=0), drawn)[1])
     return estimate._replace(source="searched", draws=jnp.asarray(poses.round(DIGITS)))
 
 
@@ -261,17 +261,17 @@ def _warnings(person: Found) -> Iterator[str]:
 
 def _check_silhouettes(model: Model, session: Session) -> None:
     if read_frame(session, 0).masks is None:
-        _nothing("no first pose, and no silhouettes in which to look for the person", model)
+        _raise_no_pose("no first pose, and no silhouettes in which to look for the person", model)
 
 
 def _nobody(detected: Detected, model: Model, session: Session) -> NoReturn:
     why = f" ({'; '.join(detected.notices)})" if detected.notices else ""
-    later = later_frame(session)
-    but = "" if later is None else f", but one was in frame {session.frame_number(later)}"
-    _nothing(f"no first pose, and no person was detected in frame {session.first_frame}{why}{but}", model)
+    later_index = later_frame(session)
+    but = "" if later_index is None else f", but one was in frame {session.frame_number(later_index)}"
+    _raise_no_pose(f"no first pose, and no person was detected in frame {session.first_frame}{why}{but}", model)
 
 
-def _nothing(problem: str, model: Model) -> NoReturn:
+def _raise_no_pose(problem: str, model: Model) -> NoReturn:
     problem = f"{problem}; the body '{model.body.name}' would start at the origin of the world"
     expected = "a person whose silhouette the cameras show in frame 0, or a first pose"
     remedy = (

@@ -132,9 +132,9 @@ class PersonSearch:
             InputError: there is no such frame, or a file of the session cannot be used.
         """
         step = max(1, round(APART_S * self.session.fps))
-        before, after = index // step, (self.session.frames - 1 - index) // step
-        last = min(after, max(WINDOW // 2, WINDOW - 1 - before))
-        return self._among(index, [index + step * k for k in range(-min(before, WINDOW - 1 - last), last + 1)])
+        frames_before, frames_after = index // step, (self.session.frames - 1 - index) // step
+        last = min(frames_after, max(WINDOW // 2, WINDOW - 1 - frames_before))
+        return self._among(index, [index + step * k for k in range(-min(frames_before, WINDOW - 1 - last), last + 1)])
 
     def _among(self, index: int, frames: Sequence[int]) -> Found | Detected:
         searched = {frame: self.searched(frame) for frame in frames}
@@ -180,14 +180,14 @@ def _by_facing(detections: Detections | None, up: int) -> list[tuple[Detections,
     if detections is None or not len(detections.weights) or detections.rotations is None:
         return []
     level = [k for k in range(3) if k != up]
-    ahead = detections.rotations[:, :, 0][:, level]
+    forward = detections.rotations[:, :, 0][:, level]
     # Twice the angle is the same for both ways.
-    doubled = detections.weights @ np.exp(2j * np.arctan2(ahead[:, 1], ahead[:, 0]))
+    doubled = detections.weights @ np.exp(2j * np.arctan2(forward[:, 1], forward[:, 0]))
     # If all directions are equally likely, any axis will do, but it must be the same on every machine.
     axis = np.angle(doubled) / 2 if abs(doubled) > UNDIRECTED else 0.0
-    along = ahead @ (np.cos(axis), np.sin(axis)) >= 0
-    shares = {side: float(detections.weights[along == side].sum()) for side in (True, False)}
-    return [(chosen(detections, np.flatnonzero(along == side)), share) for side, share in shares.items() if share > 0]
+    is_along_axis = forward @ (np.cos(axis), np.sin(axis)) >= 0
+    shares = {side: float(detections.weights[is_along_axis == side].sum()) for side in (True, False)}
+    return [(chosen(detections, np.flatnonzero(is_along_axis == side)), share) for side, share in shares.items() if share > 0]
 
 
 def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarray, " way"]) -> Found:
@@ -198,16 +198,16 @@ def found_of(names: tuple[str, ...], searched: Searched, shares: Float[np.ndarra
     main = ways[int(np.argmax(shares))]
     # The main mode: the draws near a central draw, whose weighted mean distance to all draws of its way is smallest.
     of_way = np.exp(main.log_weights)
-    apart = np.stack([np.linalg.norm(main.markers - draw, axis=2).mean(1) for draw in main.markers])
-    centre = int(np.argmin(apart @ of_way))
-    near = apart[centre] < MODE_M
-    if (of_way @ near) ** 2 < FEWEST_OF_MODE * (of_way**2 @ near):
-        near[:] = True
-    mode_weights = of_way * near / (of_way @ near)
+    distances = np.stack([np.linalg.norm(main.markers - draw, axis=2).mean(1) for draw in main.markers])
+    centre = int(np.argmin(distances @ of_way))
+    in_mode = distances[centre] < MODE_M
+    if (of_way @ in_mode) ** 2 < FEWEST_OF_MODE * (of_way**2 @ in_mode):
+        in_mode[:] = True
+    mode_weights = of_way * in_mode / (of_way @ in_mode)
     mean = np.einsum("d,dmk->mk", mode_weights, main.markers)
     sd_m = float(np.sqrt(np.einsum("d,dmk->m", mode_weights, (main.markers - mean) ** 2).mean()))
     hip_axis = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
     turned = float(weights @ (hip_axis @ (mean[names.index("l_hip")] - mean[names.index("r_hip")]) < 0))
-    elsewhere = 1 - float(np.max(shares)) * float(of_way @ near)
+    elsewhere = 1 - float(np.max(shares)) * float(of_way @ in_mode)
     evidence = float(np.logaddexp.reduce([way.log_evidence for way in ways]))
     return Found(names, mean, sd_m, elsewhere, turned, main.ess, evidence, markers, weights, searched.detected.notices, searched.seconds)

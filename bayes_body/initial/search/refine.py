@@ -89,14 +89,14 @@ def _climb(
     """Move the arm of each pose to the best of many places near it, several times; return the poses and their log-likelihoods."""
     tries, heights = many // (poses.shape[0] * poses.shape[1]), np.full(poses.shape[:2], -np.inf)
     for step in STEPS_DEG:
-        near = np.repeat(poses[:, None], tries, axis=1)
-        for tried, dofs in zip(near, arms, strict=True):
+        candidates = np.repeat(poses[:, None], tries, axis=1)
+        for tried, dofs in zip(candidates, arms, strict=True):
             # The first of the tries is the pose itself.
             tried[1:, :, dofs] += np.radians(step) * random.normal(size=(tries - 1, poses.shape[1], len(dofs)))
-        near = np.clip(near, *limits)
-        log_likelihoods = _evaluated(evaluate, near, many)
+        candidates = np.clip(candidates, *limits)
+        log_likelihoods = _evaluated(evaluate, candidates, many)
         best = log_likelihoods.argmax(axis=1)[:, None]
-        poses = np.take_along_axis(near, best[..., None], axis=1)[:, 0]
+        poses = np.take_along_axis(candidates, best[..., None], axis=1)[:, 0]
         heights = np.take_along_axis(log_likelihoods, best, axis=1)[:, 0]
     return poses, heights
 

@@ -173,9 +173,9 @@ def way_of(names: Sequence[str], markers: np.ndarray, log_weights: np.ndarray, l
     """Return the way of weighted draws of markers. Its facing is the mean direction from right to left hip, turned forward."""
     weights = np.exp(log_weights)
     hip_axis = markers[:, names.index("l_hip")] - markers[:, names.index("r_hip")]
-    ahead = np.cross(hip_axis, np.eye(3)[up])
-    ahead = weights @ (ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))
-    facing = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    forward = np.cross(hip_axis, np.eye(3)[up])
+    forward = weights @ (forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9))
+    facing = forward / max(float(np.linalg.norm(forward)), 1e-9)
     return Way(markers, log_weights, log_evidence, ess, facing, weights @ markers[:, names.index("pelvis")])
 
 
@@ -194,16 +194,16 @@ def shares_over_time(frames: Sequence[Sequence[Way]], seconds: Sequence[float], 
     forward, backward = [log_potentials[0]], [np.zeros_like(log_potentials[-1])]
     for link, log_potential in zip(links, log_potentials[1:], strict=True):
         forward.append(log_potential + np.logaddexp.reduce(forward[-1][:, None] + link, axis=0))
-    for link, later in zip(links[::-1], log_potentials[:0:-1], strict=True):
-        backward.append(np.logaddexp.reduce(link + (later + backward[-1])[None], axis=1))
-    both = [before + after for before, after in zip(forward, backward[::-1], strict=True)]
-    return [np.exp(log_marginal - np.logaddexp.reduce(log_marginal)) for log_marginal in both]
+    for link, next_potential in zip(links[::-1], log_potentials[:0:-1], strict=True):
+        backward.append(np.logaddexp.reduce(link + (next_potential + backward[-1])[None], axis=1))
+    log_marginals = [log_forward + log_backward for log_forward, log_backward in zip(forward, backward[::-1], strict=True)]
+    return [np.exp(log_marginal - np.logaddexp.reduce(log_marginal)) for log_marginal in log_marginals]
 
 
-def _log_turns(before: Sequence[Way], after: Sequence[Way], seconds: float) -> Float[np.ndarray, "before after"]:
+def _log_turns(earlier_ways: Sequence[Way], later_ways: Sequence[Way], seconds: float) -> Float[np.ndarray, "before after"]:
     """Return the log-density of the turns between two frames, up to a constant."""
     concentration = 1 / (FACING_RAD**2 + (TURN_RAD_S * seconds) ** 2)
-    return concentration * np.array([[earlier_way.facing @ later_way.facing for later_way in after] for earlier_way in before])
+    return concentration * np.array([[earlier_way.facing @ later_way.facing for later_way in later_ways] for earlier_way in earlier_ways])
 
 
 def _movements(frames: Sequence[Sequence[Way]], seconds: Sequence[float], up: int) -> Float[np.ndarray, "frame 3"]:

@@ -175,13 +175,13 @@ def test_turns_come_back_in_any_order(axes):
     found = angles_of(np.broadcast_to(rotations, (200, 3, 3)), axes, signs, *map(np.array, limits))
     assert found is not None
     assert np.abs(found.values - values - 2 * np.pi * np.round((found.values - values)[0] / (2 * np.pi))).max() < 1e-9
-    assert found.left.max() < 1e-9
+    assert found.residual.max() < 1e-9
 
 
 def test_a_right_angle_in_the_middle_leaves_nothing():
     turn = Rotation.from_euler("ZXY", [0.3, np.pi / 2, 0.2]).as_matrix()[None]
     found = angles_of(turn, (2, 0, 1), (1, 1, 1), np.full(3, -4.0), np.full(3, 4.0))
-    assert found is not None and found.left.max() < 1e-6
+    assert found is not None and found.residual.max() < 1e-6
 
 
 def test_axes_that_repeat_are_refused():
