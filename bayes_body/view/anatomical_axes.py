@@ -176,12 +176,12 @@ def _arc(joint: Joint, flat: bool) -> Float[np.ndarray, "point 2"]:
     It is on the side of the segment that moves. About an axis in the picture's plane (`flat`) it is the near half of a circle in perspective.
     """
     above = joint.convention.distal in ("thorax", "head")
-    is_global = joint.convention.proximal == LABORATORY
-    reach = ARC_M * (1.9 if is_global else 1.0)
+    is_laboratory = joint.convention.proximal == LABORATORY
+    reach = ARC_M * (1.9 if is_laboratory else 1.0)
     if flat:
         turn = np.radians(np.linspace(-165, -15, 30))
-        return reach * np.stack([np.cos(turn), 0.3 * np.sin(turn) + (0.0 if is_global else 1.0 if above else -0.8)], axis=-1)
-    middle = 180 if is_global else 90 if above else -90
+        return reach * np.stack([np.cos(turn), 0.3 * np.sin(turn) + (0.0 if is_laboratory else 1.0 if above else -0.8)], axis=-1)
+    middle = 180 if is_laboratory else 90 if above else -90
     turn = np.radians(middle + np.linspace(-35, 35, 30))
     return reach * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 

@@ -60,14 +60,14 @@ def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Call
         true_key, other_key, move_key = jax.random.split(key, 3)
         true, independent = _joint(true_key, problem), _joint(other_key, problem)
 
-        def again(pair: tuple[State, Index], turn_key: Key) -> tuple[tuple[State, Index], None]:
-            after, chosen = move(turn_key, *pair, true.density.previous, true.density)
-            return jax.tree.map(lambda leaf, was: jnp.asarray(leaf, was.dtype), (dict(after), chosen), pair), None
+        def apply_move(pair: tuple[State, Index], turn_key: Key) -> tuple[tuple[State, Index], None]:
+            next_state, chosen = move(turn_key, *pair, true.density.previous, true.density)
+            return jax.tree.map(lambda leaf, was: jnp.asarray(leaf, was.dtype), (dict(next_state), chosen), pair), None
 
-        (after, chosen), _ = jax.lax.scan(again, (true.state, true.ancestor), jax.random.split(move_key, applications))
-        moved = jnp.any(jnp.stack([jnp.any(after[name] != value) for name, value in true.state.items()]))
+        (next_state, chosen), _ = jax.lax.scan(apply_move, (true.state, true.ancestor), jax.random.split(move_key, applications))
+        moved = jnp.any(jnp.stack([jnp.any(next_state[name] != value) for name, value in true.state.items()]))
         return Moved(
-            after=_figures(problem, after, chosen, true.density),
+            after=_figures(problem, next_state, chosen, true.density),
             other=_figures(problem, independent.state, independent.ancestor, independent.density),
             moved=moved,
             refused=true.refused | independent.refused,
@@ -77,10 +77,10 @@ def replicate(problem: Problem, move: MarkovMove, applications: int = 1) -> Call
     return replication
 
 
-def p_values(after: Float[np.ndarray, "replication figure"], independent: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
+def p_values(moved: Float[np.ndarray, "replication figure"], independent: Float[np.ndarray, "replication figure"]) -> Float[np.ndarray, " figure"]:
     """Return for each figure the p-value of a test that moved and independent cases have the same distribution."""
     # The test's result is declared as a plain tuple.
-    return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(after.T, independent.T, strict=True)])
+    return np.array([cast(Any, ks_2samp(*pair)).pvalue for pair in zip(moved.T, independent.T, strict=True)])
 
 
 def _joint(key: Key, problem: Problem) -> _Joint:
@@ -96,9 +96,9 @@ def _joint(key: Key, problem: Problem) -> _Joint:
 
 
 def _figures(problem: Problem, state: State, ancestor: Index, density: Density) -> Float[Array, " figure"]:
-    before = density.ancestor(ancestor)
+    previous_state = density.ancestor(ancestor)
     # The log-weight detects an ancestor that is chosen without its weight, which the state may not reveal.
     figures = jnp.stack(
-        [density.log_likelihood(state, before), density.transition.log_density(state, before), density.previous.log_weights[ancestor]]
+        [density.log_likelihood(state, previous_state), density.transition.log_density(state, previous_state), density.previous.log_weights[ancestor]]
     )
-    return jnp.concatenate([problem.quantities.of(state), figures])
+    return jnp.concatenate([problem.quantities.compute(state), figures])

@@ -42,8 +42,8 @@ def rank_tree(findings: Findings) -> "xr.DataTree":
     places = ranked_quantities(findings)
     ranks = findings.ranks["ranks"][None][..., places]
     spread = (ranks + np.random.default_rng(SEED).uniform(size=ranks.shape)) / findings.bins
-    where = {"chain": [0], "draw": np.arange(ranks.shape[1]), "quantity": [findings.names[place] for place in places]}
-    return xr.DataTree.from_dict({GROUP: xr.Dataset({VARIABLE: (tuple(where), spread, {"bins": findings.bins})}, where)})
+    coordinates = {"chain": [0], "draw": np.arange(ranks.shape[1]), "quantity": [findings.names[place] for place in places]}
+    return xr.DataTree.from_dict({GROUP: xr.Dataset({VARIABLE: (tuple(coordinates), spread, {"bins": findings.bins})}, coordinates)})
 
 
 def save_ranks(findings: Findings, path: Path) -> None:

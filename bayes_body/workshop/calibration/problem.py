@@ -30,13 +30,13 @@ AXES = ("x", "y", "z")
 ROUNDING = 1e-5
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["names"], data_fields=["of"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["names"], data_fields=["compute"])
 @dataclass(frozen=True)
 class Quantities:
-    """Figures of a state, with their names. `of` is a `jax.tree_util.Partial`, so its arrays are leaves."""
+    """Figures of a state, with their names. `compute` is a `jax.tree_util.Partial`, so its arrays are leaves."""
 
     names: tuple[str, ...]
-    of: Callable[[State], Float[Array, " quantity"]]
+    compute: Callable[[State], Float[Array, " quantity"]]
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["wandering"], data_fields=["transition", "factors", "first", "quantities"])
@@ -104,7 +104,7 @@ class Path(NamedTuple):
 
     start: Index
     states: State
-    before: State
+    parents: State
     refused: Flag
     unbounded: Flag
 
@@ -127,20 +127,20 @@ def draw_data(key: Key, problem: Problem, path: Path) -> Any:
     def simulate(frame_key: Key, state: State, previous: State) -> Any:
         return problem.density({}, point_mass(previous)).simulate(frame_key, state, previous)
 
-    return jax.vmap(simulate)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.before)
+    return jax.vmap(simulate)(jax.random.split(key, jax.tree.leaves(path.states)[0].shape[0]), path.states, path.parents)
 
 
 def draw_path(key: Key, problem: Problem, previous: Particles, frames: int) -> Path:
     """Draw a path that starts at one of `previous`, by weight. Redraw it, including the start, until the constraints accept it."""
 
-    def again(tried: tuple[Index, Path]) -> tuple[Index, Path]:
+    def redraw(tried: tuple[Index, Path]) -> tuple[Index, Path]:
         return tried[0] + 1, _attempt(jax.random.fold_in(key, tried[0] + 1), problem, previous, frames)
 
     start = jnp.zeros((), jnp.int32)
     first = _attempt(jax.random.fold_in(key, start), problem, previous, frames)
     if all(factor.side == "likelihood" for factor in problem.factors):
         return first
-    return jax.lax.while_loop(lambda t: t[1].refused & ~t[1].unbounded & (t[0] < MOST_PATHS), again, (start, first))[1]
+    return jax.lax.while_loop(lambda t: t[1].refused & ~t[1].unbounded & (t[0] < MOST_PATHS), redraw, (start, first))[1]
 
 
 def _attempt(key: Key, problem: Problem, previous: Particles, frames: int) -> Path:
@@ -148,15 +148,15 @@ def _attempt(key: Key, problem: Problem, previous: Particles, frames: int) -> Pa
     start = jax.random.categorical(start_key, previous.log_weights).astype(jnp.int32)
     density = problem.density({}, previous)
 
-    def step(before: State, step_key: Key) -> tuple[State, tuple[State, State, Scalar]]:
-        state = dict(problem.transition.sample(step_key, before))
-        return state, (state, before, density.log_constraint(state, before) + density.log_potential(state, before))
+    def step(previous_state: State, step_key: Key) -> tuple[State, tuple[State, State, Scalar]]:
+        state = dict(problem.transition.sample(step_key, previous_state))
+        return state, (state, previous_state, density.log_constraint(state, previous_state) + density.log_potential(state, previous_state))
 
     first = jax.tree.map(lambda leaf: leaf[start], dict(previous.states))
-    _, (states, before, constraints) = jax.lax.scan(step, first, jax.random.split(path_key, frames))
+    _, (states, parents, constraints) = jax.lax.scan(step, first, jax.random.split(path_key, frames))
     level = jnp.log(jax.random.uniform(accept_key, (), minval=jnp.finfo(constraints.dtype).tiny))
     # Log-constraints are rounded sums, so a value slightly above 0 counts as 0.
-    return Path(start, states, before, level >= jnp.sum(constraints), jnp.any(constraints > ROUNDING))
+    return Path(start, states, parents, level >= jnp.sum(constraints), jnp.any(constraints > ROUNDING))
 
 
 def check_cases(refused: Any, unbounded: Any) -> None:

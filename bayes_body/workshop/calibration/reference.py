@@ -83,8 +83,8 @@ def integrate(density: Density, name: str = "pose") -> Quadrature:
     for cells in FINE[1:]:
         if (error < TOLERANCE * moments[1]).all():
             break
-        before, moments, count = moments, _moments(evaluate, low, high, cells), count + moments[3]
-        error = np.maximum(*(np.abs(estimate - then) for estimate, then in zip(moments[:2], before[:2], strict=True)))
+        previous_moments, moments, count = moments, _moments(evaluate, low, high, cells), count + moments[3]
+        error = np.maximum(*(np.abs(estimate - then) for estimate, then in zip(moments[:2], previous_moments[:2], strict=True)))
     mean, sd, log_evidence, used = moments
     return Quadrature(mean, sd, error, log_evidence, count + used)
 
@@ -195,8 +195,8 @@ def compare(density: Density, kernel: Kernel, previous: Particles, key: Key, run
     centre = jnp.asarray(exact.mean, density.previous.log_weights.dtype)
 
     def moments(run_key: Key, density: Density) -> tuple[jax.Array, jax.Array]:
-        after, _ = kernel(run_key, previous, density.with_previous(previous))
-        weights, pose = jax.nn.softmax(after.log_weights), after.states["pose"]
+        next_particles, _ = kernel(run_key, previous, density.with_previous(previous))
+        weights, pose = jax.nn.softmax(next_particles.log_weights), next_particles.states["pose"]
         return weights @ pose, weights @ (pose - centre) ** 2
 
     every = jax.jit(lambda keys, density: jax.lax.map(lambda run_key: moments(run_key, density), keys))
@@ -256,9 +256,9 @@ def _verdict(dofs: Sequence[str], comparison: Comparison) -> Verdict:
         }
         quantities[name] = {key: float(value) for key, value in (true | runs).items()}
     farthest = []
-    for what, off in (("mean", comparison.off), ("variance", comparison.variance_off)):
+    for moment_name, off in (("mean", comparison.off), ("variance", comparison.variance_off)):
         worst = int(np.argmax(off))
-        farthest.append(f"the {what} of '{dofs[worst]}' is {off[worst]:.1f} Monte Carlo standard errors from that of a grid")
+        farthest.append(f"the {moment_name} of '{dofs[worst]}' is {off[worst]:.1f} Monte Carlo standard errors from that of a grid")
     sentence = f"quadrature ({exact.evaluations:,} evaluations): {', '.join(farthest)}, the largest of {len(dofs)} dofs; the limit is {LIMIT:.0f}."
     passed = bool(max(comparison.off.max(), comparison.variance_off.max()) < LIMIT)
     figures = {"reference": {"runs": len(comparison.means), "limit": LIMIT, "quantities": quantities}}

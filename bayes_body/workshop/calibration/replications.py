@@ -153,7 +153,7 @@ type Compute = Callable[[Sequence[Task]], Iterator[tuple[Task, Figures]]]
 
 
 def run_replications(
-    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, kept: ReplicationLog | None = None, watch: Watch = unwatched
+    make: Callable[[], Experiments], counts: Mapping[str, int], jobs: int = 0, log: ReplicationLog | None = None, watch: Watch = unwatched
 ) -> dict[str, Figures]:
     """Compute the figures of each experiment, with a leading replication axis.
 
@@ -161,11 +161,11 @@ def run_replications(
         make: builds the experiments; with `jobs` above 0 it is called in each process, and must be picklable.
         counts: number of replications of each experiment.
         jobs: number of processes; 0 computes in this one.
-        kept: existing blocks, to which new ones are added.
+        log: existing blocks, to which new ones are added.
         watch: shows the progress, in blocks.
     """
     with computing(make, jobs) as compute:
-        return add_replications(compute, counts, ReplicationLog() if kept is None else kept, watch)
+        return add_replications(compute, counts, ReplicationLog() if log is None else log, watch)
 
 
 def add_replications(compute: Compute, counts: Mapping[str, int], log: ReplicationLog, watch: Watch = unwatched) -> dict[str, Figures]:

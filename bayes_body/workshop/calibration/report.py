@@ -80,7 +80,7 @@ def _checked(
             show(f"{partial_file}: continuing with {len(blocks)} blocks of replications")
         findings, result = run_check(plan, replications, jobs, blocks, watched("blocks of replications", bar), show)
         more = more_particles(plan)
-        if result.enough or not pilot or more == plan:
+        if result.ess_suffices or not pilot or more == plan:
             return plan, findings, result
         short, particles = result.figures["effective"]["short_share"], plan.options["particles"]
         show(f"particles: {particles} are too few for {short:.1%} of the replications: once more with {more.options['particles']}.")
@@ -100,9 +100,9 @@ def _text(plan: Plan) -> str:
 
 def _with_particles(plan: Plan, partial_file: Path | None, jobs: int, show: Show) -> Plan:
     """The plan with enough particles: the number used by existing replications, or the pilot's result."""
-    before = None if partial_file is None else settings_of(partial_file)
-    if before is not None:
-        return replace(plan, options={**plan.options, "particles": before["options"]["particles"]})
+    partial_settings = None if partial_file is None else settings_of(partial_file)
+    if partial_settings is not None:
+        return replace(plan, options={**plan.options, "particles": partial_settings["options"]["particles"]})
     return enough_particles(plan, jobs, show)
 
 

@@ -63,16 +63,16 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
     def replication(key: Key, problem: Problem = problem) -> Replication:
         case_key, filter_key, draw_key, tie_key = jax.random.split(key, 4)
         case = draw_case(case_key, problem, frames)
-        before, after, info, lost = _filtered(filter_key, problem, kernel, case, particles)
-        chosen = jax.random.categorical(draw_key, after.log_weights, shape=(bins - 1,))
-        truth, drawn, everything = _figures(problem, case, before, after, info, chosen)
+        previous, particles_after, info, lost = _filtered(filter_key, problem, kernel, case, particles)
+        chosen = jax.random.categorical(draw_key, particles_after.log_weights, shape=(bins - 1,))
+        truth, drawn, everything = _figures(problem, case, previous, particles_after, info, chosen)
         below_key, within_key = jax.random.split(tie_key)
         ties = jnp.sum(drawn == truth, axis=0)
         ranks = jnp.sum(drawn < truth, axis=0) + jax.random.randint(below_key, ties.shape, 0, ties + 1)
-        weights = jax.nn.softmax(after.log_weights)
+        weights = jax.nn.softmax(particles_after.log_weights)
         same = weights @ (everything == truth[:-1])
         levels = weights @ (everything < truth[:-1]) + same * jax.random.uniform(within_key, same.shape)
-        ess = jnp.stack([_ess(weights), _merged(weights, after.states), _by_ancestor(weights, before, info, frames)])
+        ess = jnp.stack([_ess(weights), _merged(weights, particles_after.states), _by_ancestor(weights, previous, info, frames)])
         return Replication(ranks, levels, truth, ess, lost, case.refused, case.unbounded)
 
     return replication
@@ -84,13 +84,13 @@ def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int
 
     def frame(particles: Particles, key_and_data: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
         frame_key, data = key_and_data
-        after, info = kernel(frame_key, particles, problem.density(data, particles))
-        return _like(after, particles), (particles, info)
+        next_particles, info = kernel(frame_key, particles, problem.density(data, particles))
+        return _like(next_particles, particles), (particles, info)
 
     frames = jax.tree.leaves(case.path)[0].shape[0]
-    after, (before, info) = jax.lax.scan(frame, start, (jax.random.split(key, frames), case.data))
-    last = jax.tree.map(lambda leaf: leaf[-1], (before, info))
-    return last[0], after, last[1], jnp.any(info.lost)
+    last_particles, (parents, info) = jax.lax.scan(frame, start, (jax.random.split(key, frames), case.data))
+    last = jax.tree.map(lambda leaf: leaf[-1], (parents, info))
+    return last[0], last_particles, last[1], jnp.any(info.lost)
 
 
 def _like(tree: Any, template: Any) -> Any:
@@ -99,23 +99,23 @@ def _like(tree: Any, template: Any) -> Any:
 
 
 def _figures(
-    problem: Problem, case: Case, before: Particles, after: Particles, info: FilterInfo, chosen: Int[Array, " draw"]
+    problem: Problem, case: Case, parent_particles: Particles, particles: Particles, info: FilterInfo, chosen: Int[Array, " draw"]
 ) -> tuple[Float[Array, " quantity"], Float[Array, "draw quantity"], Float[Array, "particle level"]]:
     """The quantities of the truth and of the draws with the log-likelihood, and of all particles without it."""
     frames = jax.tree.leaves(case.path)[0].shape[0]
     true = jax.tree.map(lambda leaf: leaf[-1], case.path)
     before_true = jax.tree.map(lambda leaf: leaf[-2], case.path) if frames > 1 else case.first
-    density = problem.density(jax.tree.map(lambda leaf: leaf[-1], case.data), before)
+    density = problem.density(jax.tree.map(lambda leaf: leaf[-1], case.data), parent_particles)
 
     def with_likelihood(state: State, previous: State) -> Float[Array, " quantity"]:
-        return jnp.append(problem.quantities.of(state), density.log_likelihood(state, previous))
+        return jnp.append(problem.quantities.compute(state), density.log_likelihood(state, previous))
 
-    draws = jax.tree.map(lambda leaf: leaf[chosen], after.states)
-    parents = jax.tree.map(lambda leaf: leaf[info.ancestors[chosen]], before.states)
+    draws = jax.tree.map(lambda leaf: leaf[chosen], particles.states)
+    parents = jax.tree.map(lambda leaf: leaf[info.ancestors[chosen]], parent_particles.states)
     # One program for all of them: compiled separately, a draw equal to the truth might differ in the last bit.
     joined = jax.tree.map(lambda leaf, more: jnp.concatenate([leaf[None], more]), (dict(true), dict(before_true)), (dict(draws), dict(parents)))
-    both = jax.lax.map(lambda pair: with_likelihood(*pair), joined)
-    return both[0], both[1:], jax.vmap(problem.quantities.of)(after.states)
+    quantities = jax.lax.map(lambda pair: with_likelihood(*pair), joined)
+    return quantities[0], quantities[1:], jax.vmap(problem.quantities.compute)(particles.states)
 
 
 def _ess(weights: Float[Array, " particle"]) -> Scalar:
@@ -136,12 +136,12 @@ def _marks(leaf: Array) -> Array:
     return jax.random.normal(jax.random.key(0), (leaf[0].size,), leaf.dtype)
 
 
-def _by_ancestor(weights: Float[Array, " particle"], before: Particles, info: FilterInfo, frames: int) -> Scalar:
+def _by_ancestor(weights: Float[Array, " particle"], previous: Particles, info: FilterInfo, frames: int) -> Scalar:
     """The effective size after merging all descendants of a state of the previous frame. In the first frame all come from one state.
 
     Particles without ancestors have nothing to merge.
     """
     if frames == 1:
         return jnp.asarray(jnp.inf, weights.dtype)
-    merged = _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], before.states))
+    merged = _merged(weights, jax.tree.map(lambda leaf: leaf[info.ancestors], previous.states))
     return jnp.where(jnp.any(info.ancestors == NO_ANCESTOR), jnp.inf, merged)

@@ -97,7 +97,7 @@ def probe(model: Model, kernel: Kernel, runs: bool = True) -> None:
         jax.eval_shape(kernel, key, particles, density)
 
 
-def check_effective(where: str, figures: np.ndarray) -> None:
+def check_effective(source: str, figures: np.ndarray) -> None:
     """Check that what was computed from a kernel's weights are numbers, (repetition, figure).
 
     Raises:
@@ -105,7 +105,7 @@ def check_effective(where: str, figures: np.ndarray) -> None:
     """
     if np.isnan(figures).any():
         problem = f"in {np.isnan(figures).any(axis=-1).mean():.0%} of the repetitions its log-weights are NaN"
-        raise input_error(where, problem, "normalised log-weights", "where no particle explains the data, return equal ones and set `lost`")
+        raise input_error(source, problem, "normalised log-weights", "where no particle explains the data, return equal ones and set `lost`")
 
 
 def _prior(model: Model, particles: Particles) -> Density:

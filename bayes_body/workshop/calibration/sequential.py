@@ -48,16 +48,16 @@ def decide(
     replications: int,
     bins: int,
     jobs: int = 0,
-    kept: ReplicationLog | None = None,
+    log: ReplicationLog | None = None,
     watch: Watch = unwatched,
     show: Show = lambda line: None,
 ) -> tuple[Findings, Verdict]:
     """Like `run_check`, for any problem; `make` builds its experiments, with ranks in `bins` bins."""
     looks = dict.fromkeys([SBC, INVARIANCE] if has_move else [SBC], 0)
-    kept = ReplicationLog() if kept is None else kept
+    log = ReplicationLog() if log is None else log
     with computing(make, jobs) as compute:
         while True:
-            look_findings = findings(problem, compute, looks, replications, bins, kept, watch)
+            look_findings = findings(problem, compute, looks, replications, bins, log, watch)
             decision = verdict(look_findings)
             if not decision.close:
                 return look_findings, decision

@@ -54,14 +54,14 @@ class Verdict(NamedTuple):
         passed: whether the kernel passed.
         sentences: sentences for a reader.
         figures: the figures behind them, for JSON.
-        enough: whether nearly all replications have enough effective particles.
+        ess_suffices: whether nearly all replications have enough effective particles.
         close: for each test that needs more replications, a sentence that says so.
     """
 
     passed: bool
     sentences: tuple[str, ...]
     figures: dict[str, Any]
-    enough: bool = True
+    ess_suffices: bool = True
     close: Mapping[str, str] = MappingProxyType({})
 
 
@@ -88,17 +88,17 @@ class _Test(NamedTuple):
 
 def verdict(findings: Findings) -> Verdict:
     """The verdict of a check at the look that its tests have reached."""
-    (ranked, ranks_said, ranks), (enough, ess_said, ess) = _ranks(findings), _effective(findings)
+    (ranked, ranks_said, ranks), (ess_suffices, ess_said, ess) = _ranks(findings), _effective(findings)
     moved, move_said, moves = (None, NO_MOVE, None) if findings.moves is None else _moves(findings)
     failed = ranked.fails or (moved is not None and moved.fails)
     lost = float(np.mean(findings.ranks["lost"]))
     said = [ranks_said, ess_said, move_said, f"{lost:.1%} of the replications lost a frame." if lost else ""]
-    said.append(f"FAIL. {PROMISE}" if failed else f"PASS. {PROMISE}" if enough else "UNDECIDED, which counts as not passed.")
+    said.append(f"FAIL. {PROMISE}" if failed else f"PASS. {PROMISE}" if ess_suffices else "UNDECIDED, which counts as not passed.")
     figures = {"false_alarm": FALSE_ALARM, "ranks": ranks, "effective": ess, "lost_share": lost, "moves": moves}
     # More replications do not help a check that has failed, or has too few particles.
-    tests = {} if failed or not enough else {SBC: ("ranks", ranked)} | ({} if moved is None else {INVARIANCE: ("Markov move", moved)})
+    tests = {} if failed or not ess_suffices else {SBC: ("ranks", ranked)} | ({} if moved is None else {INVARIANCE: ("Markov move", moved)})
     close = {key: _close(name, test) for key, (name, test) in tests.items() if is_close(test.p, test.limit)}
-    return Verdict(enough and not failed, tuple(sentence for sentence in said if sentence), figures, enough, close)
+    return Verdict(ess_suffices and not failed, tuple(sentence for sentence in said if sentence), figures, ess_suffices, close)
 
 
 def ranked_quantities(findings: Findings) -> NDArray[np.intp]:
@@ -166,21 +166,21 @@ def _effective(findings: Findings) -> tuple[bool, str, dict[str, Any]]:
         # A single frame has no ancestors to distinguish.
         figures[name] = {"median": float(np.median(column)), "least": float(column.min())} if np.isfinite(column).all() else None
     said = f"particles: {np.median(least):.0f} effective (median), {least.min():.0f} (least), {needed} wanted for {bins} bins"
-    enough = float(np.mean(first < needed)) <= MOST_SHORT
+    ess_suffices = float(np.mean(first < needed)) <= MOST_SHORT
     if short:
-        said += f"; {short:.1%} of the replications have too few" + ("" if enough else ": raise --particles, or lower --bins")
-    return enough, f"{said}.", figures
+        said += f"; {short:.1%} of the replications have too few" + ("" if ess_suffices else ": raise --particles, or lower --bins")
+    return ess_suffices, f"{said}.", figures
 
 
 def _moves(findings: Findings) -> tuple[_Test, str, dict[str, Any]]:
     assert findings.moves is not None
-    after, independent = (np.asarray(findings.moves[name], float) for name in ("after", "other"))
+    moved_figures, independent = (np.asarray(findings.moves[name], float) for name in ("after", "other"))
     places = np.flatnonzero(np.ptp(independent, axis=0) > 0)
-    p, moved = invariance.p_values(after[:, places], independent[:, places]), float(np.mean(findings.moves["moved"]))
+    p, moved = invariance.p_values(moved_figures[:, places], independent[:, places]), float(np.mean(findings.moves["moved"]))
     names, look = tuple(findings.move_names[place] for place in places), findings.looks[INVARIANCE]
-    test = _Test(names, p, limits(look, 2, len(p)), look, len(after))
+    test = _Test(names, p, limits(look, 2, len(p)), look, len(moved_figures))
     said = "it does not leave the posterior invariant" if test.fails else "it leaves the posterior invariant"
-    said = f"Markov move: {said}, {len(after)} replications; {test.worst}; {_limit_said(test)}"
+    said = f"Markov move: {said}, {len(moved_figures)} replications; {test.worst}; {_limit_said(test)}"
     if moved < LEAST_MOVED:
         said += f"; but only {moved:.1%} of the states moved, so this test is not informative"
     return test, f"{said}.", test.figures() | {"moved_share": moved, "p_values": dict(zip(names, map(float, p), strict=True))}

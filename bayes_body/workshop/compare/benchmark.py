@@ -139,7 +139,7 @@ def followed(scenes: Scenes, definition: Definition, kernel: str, options: Any, 
     Raises:
         InputError: the pair cannot be run: there are no data to follow, or the model lacks what this kernel needs.
     """
-    scene = scenes.scene_of(definition)
+    scene = scenes.of(definition)
     frames = min(settings.frames, scene.session.frames)
     built, key = kernel_of(kernel, options), jax.random.key(settings.seed)
     return scene, track(key, scene.session, scene.model, built, options.particles, settings.runs, frames)

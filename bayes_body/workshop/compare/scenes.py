@@ -67,7 +67,7 @@ class Scenes:
         self.folder, self.frames, self.seed, self.recording = folder, frames, seed, session
         self._made: dict[str, Scene | InputError] = {}
 
-    def scene_of(self, definition: Definition) -> Scene:
+    def of(self, definition: Definition) -> Scene:
         """The scene of a model.
 
         Raises:

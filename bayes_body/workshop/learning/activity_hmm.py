@@ -159,8 +159,8 @@ def _sentences(motions: Sequence[Captured], subjects: Sequence[str], chosen: Map
     for label, choice in chosen.items():
         names = [motion.name for motion in motions if motion.label == label]
         for k, name in enumerate(names):
-            others = np.delete(choice.of_motion, k)
-            if len(others) and (ratio := float(np.median(others) - choice.of_motion[k])) > FAR:
+            other_motions = np.delete(choice.of_motion, k)
+            if len(other_motions) and (ratio := float(np.median(other_motions) - choice.of_motion[k])) > FAR:
                 sentences.append(f"{name}: {ratio:.1f} nats a frame less likely than the other motions of '{label}': perhaps another activity")
     return sentences
 
@@ -210,11 +210,11 @@ def _arrays(activity: Activity) -> tuple[Array, Array, Array, Array]:
 
 @partial(jax.jit, static_argnames="frames")
 def _drawn(initial: Array, transition: Array, locations: Array, roots: Array, key: Key, frames: int) -> Float[Array, "frame feature"]:
-    first, later, noise = jax.random.split(key, 3)
+    first, transition_key, noise = jax.random.split(key, 3)
     begun = jax.random.categorical(first, initial)
 
     def step(state: Array, key: Key) -> tuple[Array, Array]:
         return jax.random.categorical(key, transition[state]), state
 
-    _, states = jax.lax.scan(step, begun, jax.random.split(later, frames))
+    _, states = jax.lax.scan(step, begun, jax.random.split(transition_key, frames))
     return locations[states] + jnp.einsum("tij,tj->ti", roots[states], jax.random.normal(noise, (frames, locations.shape[1])))

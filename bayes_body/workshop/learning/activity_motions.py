@@ -71,5 +71,5 @@ def frames_of(motions: Sequence[Captured]) -> dict[str, int]:
 
 def half_of_largest_change(tracks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology) -> Float[np.ndarray, " dof"]:
     """Return for every dof half the largest change between two frames (Darby et al. 2008, (10)); full turns are no change."""
-    whole = [np.where(topology.angular, np.unwrap(track, axis=0), track) for track in tracks]
-    return np.max([np.abs(np.diff(track, axis=0)).max(axis=0, initial=0.0) for track in whole], axis=0) / 2
+    unwrapped = [np.where(topology.angular, np.unwrap(track, axis=0), track) for track in tracks]
+    return np.max([np.abs(np.diff(track, axis=0)).max(axis=0, initial=0.0) for track in unwrapped], axis=0) / 2

@@ -53,7 +53,7 @@ class Sequences(NamedTuple):
     """Sequences that are padded to one length, and which of their frames exist. A sequence may be empty."""
 
     values: Float[Numbers, "sequence frame feature"]
-    known: Bool[Numbers, "sequence frame"]
+    mask: Bool[Numbers, "sequence frame"]
 
 
 class Fitted(NamedTuple):
@@ -85,11 +85,11 @@ def padded(sequences: Sequence[Float[np.ndarray, "_ feature"]], count: int = 0) 
     """Return sequences of different lengths as one array, with empty sequences added: at least `count` in all."""
     longest, count = max(map(len, sequences)), max(count, len(sequences))
     values = np.zeros((count + -count % GROUP, longest + -longest % BLOCK, sequences[0].shape[1]))
-    known = np.zeros(values.shape[:2], bool)
+    mask = np.zeros(values.shape[:2], bool)
     for row, sequence in enumerate(sequences):
         values[row, : len(sequence)] = sequence
-        known[row, : len(sequence)] = True
-    return Sequences(values, known)
+        mask[row, : len(sequence)] = True
+    return Sequences(values, mask)
 
 
 def log_likelihood(hmm: Hmm, sequences: Sequences) -> Float[np.ndarray, " sequence"]:
@@ -98,21 +98,21 @@ def log_likelihood(hmm: Hmm, sequences: Sequences) -> Float[np.ndarray, " sequen
         return np.asarray(_log_likelihoods(*_double(hmm, sequences)))
 
 
-def fit(begin: Hmm, sequences: Sequences, rounds: int = ROUNDS, enough: float = ENOUGH, learn_initial: bool = False) -> Fitted:
-    """Return the models that `rounds` steps of EM lead to, or fewer if a step gains less than `enough` nats per frame.
+def fit(begin: Hmm, sequences: Sequences, rounds: int = ROUNDS, least_gain: float = ENOUGH, learn_initial: bool = False) -> Fitted:
+    """Return the models that `rounds` steps of EM lead to, or fewer if a step gains less than `least_gain` nats per frame.
 
     Args:
         begin: one or more starts, as `starts` returns them.
         sequences: the data.
         rounds: most steps.
-        enough: the gain at which a start has converged; below 0 all rounds are made.
+        least_gain: the gain at which a start has converged; below 0 all rounds are made.
         learn_initial: whether to estimate the initial probabilities too. Otherwise they stay those of the start.
     """
-    known = np.asarray(sequences.known)
-    data = np.asarray(sequences.values, float)[known]
+    mask = np.asarray(sequences.mask)
+    data = np.asarray(sequences.values, float)[mask]
     floor = FLOOR * max(float(data.var(axis=0).mean()), 1e-12)
     with jax.enable_x64(True):
-        fits = _fit(*_double(begin, sequences), data.mean(axis=0), floor, float(enough), rounds=rounds, learn_initial=learn_initial)
+        fits = _fit(*_double(begin, sequences), data.mean(axis=0), floor, float(least_gain), rounds=rounds, learn_initial=learn_initial)
         return jax.tree.map(np.asarray, fits)
 
 
@@ -122,13 +122,15 @@ def step(hmm: Hmm, sequences: Sequences, learn_initial: bool = False) -> Hmm:
 
 
 def _double(hmm: Hmm, sequences: Sequences) -> tuple[Hmm, Sequences]:
-    values = np.where(np.asarray(sequences.known)[..., None], sequences.values, 0.0)
-    return Hmm(*(np.asarray(part, float) for part in hmm)), Sequences(values, np.asarray(sequences.known))
+    values = np.where(np.asarray(sequences.mask)[..., None], sequences.values, 0.0)
+    return Hmm(*(np.asarray(part, float) for part in hmm)), Sequences(values, np.asarray(sequences.mask))
 
 
 @partial(jax.jit, static_argnames=("rounds", "learn_initial"))
-def _fit(begin: Hmm, data: Sequences, middle: Float[Array, " feature"], floor: Scalar, enough: Scalar, rounds: int, learn_initial: bool) -> Fitted:
-    frames = data.known.sum()
+def _fit(
+    begin: Hmm, data: Sequences, middle: Float[Array, " feature"], floor: Scalar, least_gain: Scalar, rounds: int, learn_initial: bool
+) -> Fitted:
+    frames = data.mask.sum()
 
     def unfinished(state: tuple[Hmm, Array, Index, Flag]) -> Flag:
         return (state[2] < rounds) & ~state[3]
@@ -138,7 +140,7 @@ def _fit(begin: Hmm, data: Sequences, middle: Float[Array, " feature"], floor: S
         statistics = _expected(hmm, data, middle)
         gain = statistics.log_likelihood - jnp.where(number > 0, history[number - 1], -jnp.inf)
         history = history.at[number].set(statistics.log_likelihood)
-        return _maximised(hmm, statistics, middle, floor, learn_initial), history, number + 1, gain < enough * frames
+        return _maximised(hmm, statistics, middle, floor, learn_initial), history, number + 1, gain < least_gain * frames
 
     def climb(start: Hmm) -> Fitted:
         begun = (start, jnp.full(rounds, jnp.nan), jnp.asarray(0), jnp.asarray(False))
@@ -150,12 +152,12 @@ def _fit(begin: Hmm, data: Sequences, middle: Float[Array, " feature"], floor: S
 
 @jax.jit
 def _log_likelihoods(hmm: Hmm, data: Sequences) -> Float[Array, " sequence"]:
-    return jax.vmap(lambda values, known: _forward(hmm, values, known)[1])(*data)
+    return jax.vmap(lambda values, mask: _forward(hmm, values, mask)[1])(*data)
 
 
-def _forward(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Array, " frame"]) -> tuple[Array, Scalar, Array]:
+def _forward(hmm: Hmm, values: Float[Array, "frame feature"], mask: Bool[Array, " frame"]) -> tuple[Array, Scalar, Array]:
     """Return log alpha in each frame, the log-likelihood, and the log-densities of the emissions (0 in a frame that does not exist)."""
-    emitted = jnp.where(known[:, None], _log_emissions(hmm, values), 0.0)
+    emitted = jnp.where(mask[:, None], _log_emissions(hmm, values), 0.0)
     moves = jnp.log(hmm.transition)
 
     def forward(alpha: Array, frame: tuple[Array, Flag]) -> tuple[Array, Array]:
@@ -164,8 +166,8 @@ def _forward(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Array,
         return alpha, alpha
 
     first = jnp.log(hmm.initial) + emitted[0]
-    last, later = jax.lax.scan(forward, first, (emitted[1:], known[1:]))
-    return jnp.concatenate([first[None], later]), jax.nn.logsumexp(last), emitted
+    last, log_alphas = jax.lax.scan(forward, first, (emitted[1:], mask[1:]))
+    return jnp.concatenate([first[None], log_alphas]), jax.nn.logsumexp(last), emitted
 
 
 def _log_emissions(hmm: Hmm, values: Float[Array, "frame feature"]) -> Float[Array, "frame state"]:
@@ -179,26 +181,26 @@ def _log_emissions(hmm: Hmm, values: Float[Array, "frame feature"]) -> Float[Arr
 
 def _expected(hmm: Hmm, data: Sequences, middle: Float[Array, " feature"]) -> _Statistics:
     """Return the expected statistics, summed over the sequences."""
-    statistics = jax.vmap(lambda values, known: _of_sequence(hmm, values, known, middle))(*data)
+    statistics = jax.vmap(lambda values, mask: _of_sequence(hmm, values, mask, middle))(*data)
     return jax.tree.map(lambda part: part.sum(axis=0), statistics)
 
 
-def _of_sequence(hmm: Hmm, values: Float[Array, "frame feature"], known: Bool[Array, " frame"], middle: Float[Array, " feature"]) -> _Statistics:
-    alpha, total, emitted = _forward(hmm, values, known)
+def _of_sequence(hmm: Hmm, values: Float[Array, "frame feature"], mask: Bool[Array, " frame"], middle: Float[Array, " feature"]) -> _Statistics:
+    alpha, total, emitted = _forward(hmm, values, mask)
     moves = jnp.log(hmm.transition)
 
     def back(state: tuple[Array, Array], frame: tuple[Array, Array, Flag]) -> tuple[tuple[Array, Array], Array]:
         beta, counted = state
         forward, density, exists = frame
         ways = moves + density + beta
-        before = jax.nn.logsumexp(ways, axis=1)
+        next_beta = jax.nn.logsumexp(ways, axis=1)
         # The probability of a state, times that of its next state given all that follows.
-        pairs = jnp.exp(forward + before - total)[:, None] * jnp.exp(ways - before[:, None])
-        return (jnp.where(exists, before, beta), counted + jnp.where(exists, pairs, 0.0)), jnp.where(exists, before, beta)
+        pairs = jnp.exp(forward + next_beta - total)[:, None] * jnp.exp(ways - next_beta[:, None])
+        return (jnp.where(exists, next_beta, beta), counted + jnp.where(exists, pairs, 0.0)), jnp.where(exists, next_beta, beta)
 
     ended = jnp.zeros_like(alpha[0])
-    (_, counted), earlier = jax.lax.scan(back, (ended, jnp.zeros_like(moves)), (alpha[:-1], emitted[1:], known[1:]), reverse=True)
-    gamma = jnp.exp(alpha + jnp.concatenate([earlier, ended[None]]) - total) * known[:, None]
+    (_, counted), earlier = jax.lax.scan(back, (ended, jnp.zeros_like(moves)), (alpha[:-1], emitted[1:], mask[1:]), reverse=True)
+    gamma = jnp.exp(alpha + jnp.concatenate([earlier, ended[None]]) - total) * mask[:, None]
     deviations = values - middle
     squares = jnp.einsum("tn,ti,tj->nij", gamma, deviations, deviations)
     return _Statistics(gamma[0], counted, gamma.sum(axis=0), gamma.T @ deviations, squares, total)

@@ -65,10 +65,10 @@ class Stride(NamedTuple):
 
 def points_of(landmarks: Points) -> tuple[str, ...]:
     """The points of a stride: those that have a parent and are known in every frame, in the order of `TREE`."""
-    known = {name for name, track in landmarks.items() if np.isfinite(track).all()}
+    complete_points = {name for name, track in landmarks.items() if np.isfinite(track).all()}
 
     def has_parent(name: str) -> bool:
-        return name in known and (name not in TREE or has_parent(TREE[name]))
+        return name in complete_points and (name not in TREE or has_parent(TREE[name]))
 
     return tuple(name for name in TREE if has_parent(name))
 
@@ -115,15 +115,15 @@ def leg_length(landmarks: Points) -> float:
 
 def heel_strikes(landmarks: Points, fps: float, height_m: float, side: str = "l") -> Int[np.ndarray, " strike"]:
     """The frames in which the heel of one side strikes the floor in a straight walk."""
-    before = (_ahead(landmarks)[f"{side}_ankle"] - _ahead(landmarks)["pelvis"])[:, 0] / height_m
-    return find_peaks(before, distance=max(int(SHORTEST_S * fps), 1), prominence=PROMINENCE)[0]
+    ankle_lead = (_align_with_x(landmarks)[f"{side}_ankle"] - _align_with_x(landmarks)["pelvis"])[:, 0] / height_m
+    return find_peaks(ankle_lead, distance=max(int(SHORTEST_S * fps), 1), prominence=PROMINENCE)[0]
 
 
 def strides(landmarks: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
     """The strides of a straight walk: those of the left foot unchanged, those of the right foot mirrored."""
-    ahead = _ahead(landmarks)
-    mirrored = {_mirrored(name): track * (1, -1, 1) for name, track in ahead.items()}
-    return [stride for side in (ahead, mirrored) for stride in _of_left(side, names, fps, height_m)]
+    aligned = _align_with_x(landmarks)
+    mirrored = {_mirrored(name): track * (1, -1, 1) for name, track in aligned.items()}
+    return [stride for side in (aligned, mirrored) for stride in _of_left(side, names, fps, height_m)]
 
 
 def terms(phase: Float[np.ndarray, " sample"]) -> Float[np.ndarray, "sample term"]:
@@ -140,7 +140,7 @@ def series_of(columns: Float[np.ndarray, "frame column"]) -> Float[np.ndarray, "
     return np.linalg.lstsq(terms(phase[:-1]), closed[:-1], rcond=None)[0]
 
 
-def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
+def _align_with_x(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
     """The walk rotated so that it goes along x."""
     way = landmarks["pelvis"][-1, :2] - landmarks["pelvis"][0, :2]
     c, s = way / max(np.linalg.norm(way), 1e-9)
@@ -148,17 +148,17 @@ def _ahead(landmarks: Points) -> dict[str, Float[np.ndarray, "frame 3"]]:
     return {name: track @ R.T for name, track in landmarks.items()}
 
 
-def _of_left(ahead: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
-    return [_stride(ahead, names, fps, height_m, a, b) for a, b in pairwise(heel_strikes(ahead, fps, height_m).tolist())]
+def _of_left(aligned: Points, names: tuple[str, ...], fps: float, height_m: float) -> list[Stride]:
+    return [_stride(aligned, names, fps, height_m, a, b) for a, b in pairwise(heel_strikes(aligned, fps, height_m).tolist())]
 
 
-def _stride(ahead: Points, names: tuple[str, ...], fps: float, height_m: float, first: int, last: int) -> Stride:
+def _stride(aligned: Points, names: tuple[str, ...], fps: float, height_m: float, first: int, last: int) -> Stride:
     frames = slice(first, last + 1)
-    pelvis = ahead["pelvis"][frames] / height_m
+    pelvis = aligned["pelvis"][frames] / height_m
     phase = np.arange(last - first + 1) / (last - first)
     steady = np.outer(phase, pelvis[-1] - pelvis[0]) * (1, 1, 0)
     moved = pelvis - steady - (pelvis - steady).mean(axis=0) * (1, 1, 0)
-    columns = np.concatenate([*(ahead[name][frames] / height_m - pelvis for name in names), moved], axis=1)
+    columns = np.concatenate([*(aligned[name][frames] / height_m - pelvis for name in names), moved], axis=1)
     return Stride(series_of(columns), np.log([(last - first) / fps, np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])]))
 
 

@@ -63,9 +63,9 @@ def choose(tracks: Sequence[Track], states: int, seeds: Sequence[int], learn_ini
         fits = fit(starts(np.concatenate(learned), states, seeds), data, learn_initial=learn_initial)
         models = [Hmm(*(part[k] for part in fits.hmm)) for k in range(len(seeds))]
         if number < len(folds):
-            places, others = list(folds[number].validation), padded(list(folds[number].validation.values()), count)
+            places, validation = list(folds[number].validation), padded(list(folds[number].validation.values()), count)
             for row, model in zip(log_likelihoods, models, strict=True):
-                row[places] = log_likelihood(model, others)[: len(places)]
+                row[places] = log_likelihood(model, validation)[: len(places)]
         else:
             last = _best(models, np.asarray(fits.log_likelihood) / _frames(data), log_likelihoods, _held_frames(folds, count), seeds)
     assert last is not None
@@ -100,7 +100,7 @@ def _held_frames(folds: Sequence[_Fold], count: int) -> Float[np.ndarray, " moti
 
 
 def _frames(data: Sequences) -> int:
-    return int(np.asarray(data.known).sum())
+    return int(np.asarray(data.mask).sum())
 
 
 def starts(frames: Float[np.ndarray, "frame feature"], states: int, seeds: Sequence[int]) -> Hmm:
@@ -174,5 +174,5 @@ def stationary(transition: Float[np.ndarray, "state state"]) -> Float[np.ndarray
     """Return the probabilities of the states after a long time, from equal ones at first."""
     # A chain that stays with probability 1/2 has the same ones, and never alternates.
     lazy = (np.eye(len(transition)) + transition) / 2
-    later = np.linalg.matrix_power(lazy, 2**14).mean(axis=0)
-    return later / later.sum()
+    probabilities = np.linalg.matrix_power(lazy, 2**14).mean(axis=0)
+    return probabilities / probabilities.sum()

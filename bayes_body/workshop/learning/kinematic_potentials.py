@@ -90,7 +90,7 @@ def log_density(fitted: Fitted, poses: Float[np.ndarray, "draw 7"]) -> Float[np.
 
 
 def _climb(poses: np.ndarray, weights: np.ndarray, shares: Float[np.ndarray, "draw component"], floors: Floors) -> Fitted:
-    best, before = None, -np.inf
+    best, previous_log_likelihood = None, -np.inf
     for _ in range(ITERATIONS):
         mean, covariance, weight = _maximised(poses, weights, shares, floors)
         log_densities = log_of_components(mixture(mean, covariance, weight), poses)
@@ -98,9 +98,9 @@ def _climb(poses: np.ndarray, weights: np.ndarray, shares: Float[np.ndarray, "dr
         log_likelihood = float(weights @ total[:, 0])
         if best is None or log_likelihood > best.log_likelihood:
             best = Fitted(mean, covariance, weight, log_likelihood)
-        if log_likelihood - before < ENOUGH:
+        if log_likelihood - previous_log_likelihood < ENOUGH:
             break
-        before, shares = log_likelihood, np.exp(log_densities - total)
+        previous_log_likelihood, shares = log_likelihood, np.exp(log_densities - total)
     assert best is not None
     return best
 

@@ -136,9 +136,9 @@ def _trial(session: Session, model: Model, scale: float, kernel: Kernel, particl
     if not draws.samples_posterior:
         raise input_error("--kernel", "a mode seeker", "a kernel whose particles are draws from the posterior", "use sir or tempered")
     figures = accuracy_figures(comparison, mode_seeker=False)
-    inside, known = int(comparison.plain.inside[LEVELS.index(LEVEL)].sum()), int(comparison.plain.known.sum())
+    inside, coordinates = int(comparison.plain.inside[LEVELS.index(LEVEL)].sum()), int(comparison.plain.known.sum())
     iou = float(np.nanmedian(silhouette_overlap(session, draws)))
-    return Trial(session.title, scale, inside, known, figures["error_mm_mean"], iou, float(np.median(draws.info.ess)))
+    return Trial(session.title, scale, inside, coordinates, figures["error_mm_mean"], iou, float(np.median(draws.info.ess)))
 
 
 def pooled(runs: Sequence[Trial]) -> tuple[Float[np.ndarray, " scale"], Float[np.ndarray, " scale"]]:
@@ -154,9 +154,9 @@ def choose_scale(scales: Float[np.ndarray, " scale"], coverage: Float[np.ndarray
     Raises:
         InputError: neither exists within the scales.
     """
-    near = int(np.flatnonzero(coverage >= coverage.max() - NEAR)[-1])
-    if coverage.max() < level and 0 < near < len(scales) - 1:
-        return float(scales[near])
+    last_good = int(np.flatnonzero(coverage >= coverage.max() - NEAR)[-1])
+    if coverage.max() < level and 0 < last_good < len(scales) - 1:
+        return float(scales[last_good])
     crossing = [k for k in range(len(scales) - 1) if coverage[k] >= level > coverage[k + 1]]
     if not crossing:
         problem = f"coverage from {coverage.min():.2f} to {coverage.max():.2f} for scales from {scales[0]:g} to {scales[-1]:g}"

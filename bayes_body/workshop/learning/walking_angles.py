@@ -116,8 +116,8 @@ def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> L
     """
     skeleton = build_body(body, schema).skeleton
     limits = tuple(np.asarray(side, float)[ROOT:] for side in (skeleton.low, skeleton.high))
-    near = alike([walk.angles for walk in walks], skeleton.topology, *limits)
-    walks = [walk._replace(angles=angles) for walk, angles in zip(walks, near, strict=True)]
+    alike_angles = alike([walk.angles for walk in walks], skeleton.topology, *limits)
+    walks = [walk._replace(angles=angles) for walk, angles in zip(walks, alike_angles, strict=True)]
     strides = [AngleStride(walk.subject, row) for walk in walks for row in _rows(walk)]
     if len(strides) < 2:
         raise input_error("the walks", f"{len(strides)} strides", "at least 2 whole strides", "give straight walks of at least two steps each")
@@ -142,9 +142,9 @@ def learn_angles(walks: Sequence[AngleWalk], body: str, schema: BodySchema) -> L
 def near_reference(topology: Topology, angles: Float[np.ndarray, "frame dof"], reference: Float[np.ndarray, " dof"]) -> np.ndarray:
     """Return the angles of a walk (without the root's) by the solutions and turns that are nearest to a reference."""
     root = np.zeros(ROOT)
-    whole = np.concatenate([np.zeros((len(angles), ROOT)), angles], axis=1)
-    branch = nearest_branch(topology, jnp.asarray(whole.mean(axis=0)), jnp.asarray(np.concatenate([root, reference])))
-    return np.asarray(branch.sign * whole + np.asarray(branch.offset), float)[:, ROOT:]
+    dofs = np.concatenate([np.zeros((len(angles), ROOT)), angles], axis=1)
+    branch = nearest_branch(topology, jnp.asarray(dofs.mean(axis=0)), jnp.asarray(np.concatenate([root, reference])))
+    return np.asarray(branch.sign * dofs + np.asarray(branch.offset), float)[:, ROOT:]
 
 
 def alike(walks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology, low: np.ndarray, high: np.ndarray) -> list[Float[np.ndarray, "_ dof"]]:
@@ -152,11 +152,11 @@ def alike(walks: Sequence[Float[np.ndarray, "_ dof"]], topology: Topology, low: 
 
     The common turns bring all of them to the middle of the limits `low` and `high`.
     """
-    near = [near_reference(topology, walk, walks[0].mean(axis=0)) for walk in walks]
-    extremes = np.min([angles.min(axis=0) for angles in near], axis=0) + np.max([angles.max(axis=0) for angles in near], axis=0)
+    branches = [near_reference(topology, walk, walks[0].mean(axis=0)) for walk in walks]
+    extremes = np.min([angles.min(axis=0) for angles in branches], axis=0) + np.max([angles.max(axis=0) for angles in branches], axis=0)
     middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
     turns = TURN * np.round((extremes / 2 - middle) / TURN)
-    return [angles - turns for angles in near]
+    return [angles - turns for angles in branches]
 
 
 def strikes_of(points: Mapping[str, np.ndarray], fps: float, side: str = "l") -> Int[np.ndarray, " strike"]:
@@ -198,8 +198,8 @@ def _left_for_others(strides: Sequence[AngleStride], count: int, shape: tuple[in
     squares = []
     for person in people:
         person_strides = [stride for stride in strides if stride.subject == person]
-        others = [stride for stride in strides if stride.subject != person] or person_strides
-        mean, modes, _ = _components(np.stack([s.row for s in others]), _weights([s.subject for s in others]))
+        other_strides = [stride for stride in strides if stride.subject != person] or person_strides
+        mean, modes, _ = _components(np.stack([s.row for s in other_strides]), _weights([s.subject for s in other_strides]))
         T = terms(np.linspace(0, 1, 100, endpoint=False))
         basis = np.stack([(T @ mode[:-2].reshape(shape)).ravel() for mode in modes[:count]], axis=1)
         deviations = np.stack([(T @ (stride.row - mean)[:-2].reshape(shape)).ravel() for stride in person_strides], axis=1)

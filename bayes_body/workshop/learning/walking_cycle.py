@@ -152,9 +152,9 @@ def _feet(cycle: WalkingCycle, phase: Float[np.ndarray, " frame"]) -> _Feet:
     duration, length = np.exp(cycle.pace)
     pelvis = columns[:, -3:] + np.outer(grid, (length, 0.0, 0.0))
     feet = np.stack([pelvis + columns[:, 3 * i : 3 * i + 3] for i, name in enumerate(cycle.names) if name in FEET], axis=1)
-    ahead = np.roll(feet, -1, axis=0) - np.roll(feet, 1, axis=0)
-    ahead[[0, -1], :, 0] += length
-    moves = ahead * SAMPLES / 2
+    steps = np.roll(feet, -1, axis=0) - np.roll(feet, 1, axis=0)
+    steps[[0, -1], :, 0] += length
+    moves = steps * SAMPLES / 2
     speeds = np.linalg.norm(moves, axis=2) / duration
     # A small weight everywhere, so that the sum of weights is never 0.
     weights = np.exp(-((speeds / STANDS) ** 2)) + 1e-6
@@ -165,6 +165,6 @@ def _between(samples: Float[np.ndarray, "sample *rest"], phase: Float[np.ndarray
     """Samples of a stride, interpolated linearly at these phases."""
     closed = np.concatenate([samples, samples[:1]])
     place = (phase % 1.0) * len(samples)
-    before = np.minimum(place.astype(int), len(samples) - 1)
-    share = (place - before).reshape(-1, *[1] * (samples.ndim - 1))
-    return (1 - share) * closed[before] + share * closed[before + 1]
+    lower = np.minimum(place.astype(int), len(samples) - 1)
+    share = (place - lower).reshape(-1, *[1] * (samples.ndim - 1))
+    return (1 - share) * closed[lower] + share * closed[lower + 1]

@@ -61,8 +61,8 @@ class Person:
         Raises:
             InputError: a marker is missing or unknown in all frames.
         """
-        whole = complete(landmarks)
-        bones = chains(whole, self.build.height_m, fps)
+        complete_landmarks = complete(landmarks)
+        bones = chains(complete_landmarks, self.build.height_m, fps)
         parts = [sweep(bones[tube.name], tube.stations, tube.blend_m * self.build.scale) for tube in self.tubes]
         rings = Rings(*(np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True)))
         room = np.concatenate([tube.room_m for tube in self.tubes])
@@ -98,9 +98,9 @@ class Performance:
         heights, swelling = folded(person.folds, self.bend[frame])
         x, y = person.outline * swelling
         x, y = x + heights * COSINES, y + heights * SINES
-        centres, along, lateral = (part[frame] for part in self.rings)
-        ahead = np.cross(along, lateral)
-        points = centres[:, None] + x[..., None] * lateral[:, None] + y[..., None] * ahead[:, None]
+        centres, tangent, lateral = (part[frame] for part in self.rings)
+        forward = np.cross(tangent, lateral)
+        points = centres[:, None] + x[..., None] * lateral[:, None] + y[..., None] * forward[:, None]
         vertices = np.concatenate([points.reshape(-1, 3), points[_ends(person.tubes)].mean(axis=1)])
         vertices[:, 2] = np.maximum(vertices[:, 2], FLOOR_M)
         return Mesh(vertices, person.faces, person.colours)
@@ -172,17 +172,17 @@ def _folds(parts: list[Tube], outfit: Outfit, random: np.random.Generator) -> Fo
     for tube in parts:
         cloth = np.isin(tube.garment, (SHIRT, TROUSERS))[:, None]
         loose = cloth * np.clip(tube.room_m / 0.008, 0.3, 1.0)[:, None]
-        along = tube.distance_m[:, None]
+        distance = tube.distance_m[:, None]
         turns = random.uniform(0.0, 2.0 * np.pi, 5)
-        wander = 1.2 * np.sin(angles + turns[0]) + 0.8 * np.sin(2.0 * angles + turns[1] + 5.0 * along)
-        phase.append(2.0 * np.pi * along / 0.085 + wander)
-        lengthwise = np.sin(4.0 * angles + turns[2] + 3.0 * np.sin(6.0 * along + turns[3]))
-        fixed.append(outfit.folds_m * loose * (0.4 * lengthwise + 0.4 * np.sin(2.0 * np.pi * along / 0.12 + wander + turns[4])))
+        wander = 1.2 * np.sin(angles + turns[0]) + 0.8 * np.sin(2.0 * angles + turns[1] + 5.0 * distance)
+        phase.append(2.0 * np.pi * distance / 0.085 + wander)
+        lengthwise = np.sin(4.0 * angles + turns[2] + 3.0 * np.sin(6.0 * distance + turns[3]))
+        fixed.append(outfit.folds_m * loose * (0.4 * lengthwise + 0.4 * np.sin(2.0 * np.pi * distance / 0.12 + wander + turns[4])))
         growing.append(outfit.folds_m * loose)
         swelling.append(_swelling(tube))
         if tube.name == "head":
             hair = (tube.garment == HAIR)[:, None] * np.clip(tube.stations[:, None] / 0.2, 0.0, 1.0)
-            fixed[-1] = hair * 0.0015 * random.standard_normal((len(along), ANGLES))
+            fixed[-1] = hair * 0.0015 * random.standard_normal((len(distance), ANGLES))
     return Folds(*(np.concatenate(arrays) for arrays in (phase, fixed, growing, swelling)))
 
 
@@ -193,8 +193,8 @@ def _swelling(tube: Tube) -> Float[np.ndarray, "ring angle"]:
     side = {"leg": SINES, "arm": -SINES}.get(tube.name[2:])
     if side is None:
         return np.zeros((len(tube.stations), ANGLES))
-    near = np.exp(-(((tube.stations - 2.0) / 0.12) ** 2))[:, None]
-    return 0.09 * near * np.maximum(side, 0.0)
+    nearness = np.exp(-(((tube.stations - 2.0) / 0.12) ** 2))[:, None]
+    return 0.09 * nearness * np.maximum(side, 0.0)
 
 
 def _bends(tube: Tube, bones: Mapping[str, Chain]) -> Float[np.ndarray, "frame ring"]:

@@ -39,53 +39,53 @@ def chain(points: list[Track], laterals: list[Track]) -> Chain:
     joints = np.stack(points, axis=1)
     directions = unit(np.diff(joints, axis=1))
     cosines = np.sum(directions[:, 1:] * directions[:, :-1], axis=-1)
-    return Chain(joints, across(np.stack(laterals, axis=1), directions), np.arccos(np.clip(cosines, -1.0, 1.0)))
+    return Chain(joints, perpendicular(np.stack(laterals, axis=1), directions), np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
-def across(vectors: Float[np.ndarray, "*batch 3"], directions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+def perpendicular(vectors: Float[np.ndarray, "*batch 3"], directions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
     """The part of the vectors that is perpendicular to unit directions, as unit vectors."""
     return unit(vectors - np.sum(vectors * directions, axis=-1, keepdims=True) * directions)
 
 
-def trunk_axes(whole: Mapping[str, Track], fps: float) -> tuple[Track, Track, Track]:
+def trunk_axes(landmarks: Mapping[str, Track], fps: float) -> tuple[Track, Track, Track]:
     """The trunk's up, the pelvis's left and the shoulders' left, unit vectors."""
-    hips, shoulders = (whole[f"l_{name}"] - whole[f"r_{name}"] for name in ("hip", "shoulder"))
-    up = unit(middle(whole, "shoulder") - middle(whole, "hip"))
-    return up, across(steady(hips, fps), up), across(steady(shoulders, fps), up)
+    hips, shoulders = (landmarks[f"l_{name}"] - landmarks[f"r_{name}"] for name in ("hip", "shoulder"))
+    up = unit(middle(landmarks, "shoulder") - middle(landmarks, "hip"))
+    return up, perpendicular(steady(hips, fps), up), perpendicular(steady(shoulders, fps), up)
 
 
-def middle(whole: Mapping[str, Track], name: str) -> Track:
+def middle(landmarks: Mapping[str, Track], name: str) -> Track:
     """The midpoint of a left and a right landmark."""
-    return (whole[f"l_{name}"] + whole[f"r_{name}"]) / 2
+    return (landmarks[f"l_{name}"] + landmarks[f"r_{name}"]) / 2
 
 
-def hinge_laterals(upper: Track, lower: Track, up: Track, left: Track, forwards: bool, fps: float) -> tuple[Track, Track]:
+def hinge_laterals(upper: Track, lower: Track, up: Track, trunk_left: Track, forwards: bool, fps: float) -> tuple[Track, Track]:
     """The laterals of a limb's two bones, which share a hinge.
 
     Args:
         upper: (frame, 3), along the thigh or the upper arm.
         lower: along the shank or the forearm.
         up: the trunk's up.
-        left: the trunk's left.
+        trunk_left: the trunk's left.
         forwards: whether the hinge bends forwards, like an elbow, or backwards, like a knee.
         fps: frames per second.
     """
     upper, lower = unit(upper), unit(lower)
-    trunk = turned(-up, upper, left)
+    trunk = turned(-up, upper, trunk_left)
     hinge = np.cross(lower, upper) if forwards else np.cross(upper, lower)
     sine = np.linalg.norm(hinge, axis=1, keepdims=True)
     # A hinge axis that points away from the trunk's left means a limb bent past straight, or twisted too far for its plane to be used.
     agrees = np.clip(2.0 * np.sum(unit(hinge) * trunk, axis=1, keepdims=True) + 1.0, 0.0, 1.0)
     weight = agrees * np.clip((sine - STRAIGHT) / (BENT - STRAIGHT), 0.0, 1.0)
     lateral = steady(weight * unit(hinge) + (1.0 - weight) * trunk, fps)
-    return across(lateral, upper), across(lateral, lower)
+    return perpendicular(lateral, upper), perpendicular(lateral, lower)
 
 
 def turned(start: Track, end: Track, vectors: Track) -> Track:
     """The vectors, rotated by the smallest rotation that maps the unit vectors `start` to `end`."""
-    both = start + end
-    along = np.sum(both * vectors, axis=1, keepdims=True) / np.maximum(1.0 + np.sum(start * end, axis=1, keepdims=True), 1e-3)
-    return unit(vectors - along * both + 2.0 * np.sum(start * vectors, axis=1, keepdims=True) * end)
+    bisector = start + end
+    projection = np.sum(bisector * vectors, axis=1, keepdims=True) / np.maximum(1.0 + np.sum(start * end, axis=1, keepdims=True), 1e-3)
+    return unit(vectors - projection * bisector + 2.0 * np.sum(start * vectors, axis=1, keepdims=True) * end)
 
 
 def steady(vectors: Track, fps: float) -> Track:
@@ -103,69 +103,69 @@ ABOVE, BELOW = 0.17, 0.27
 SHALLOWEST_SOLE_M, DEEPEST_SOLE_M = 0.055, 0.10
 
 
-def chains(whole: Mapping[str, Track], height_m: float, fps: float) -> dict[str, Chain]:
+def chains(landmarks: Mapping[str, Track], height_m: float, fps: float) -> dict[str, Chain]:
     """Each tube's chain over time.
 
     Args:
-        whole: complete landmarks.
+        landmarks: complete landmarks.
         height_m: the person's stature, which gives the sizes of parts without landmarks.
         fps: frames per second.
     """
-    up, hips, shoulders = trunk_axes(whole, fps)
-    bones = {"trunk": _trunk(whole, up, hips, shoulders), "head": _head(whole, up, shoulders, height_m)}
+    up, hips, shoulders = trunk_axes(landmarks, fps)
+    bones = {"trunk": _trunk(landmarks, up, hips, shoulders), "head": _head(landmarks, up, shoulders, height_m)}
     for side, sign in (("l", 1.0), ("r", -1.0)):
-        bones[f"{side}_arm"], bones[f"{side}_thumb"] = _arm(whole, side, sign, (up, shoulders), height_m, fps)
-        bones[f"{side}_leg"], lateral = _leg(whole, side, up, hips, fps)
-        bones[f"{side}_foot"] = _foot(whole, side, lateral, height_m)
+        bones[f"{side}_arm"], bones[f"{side}_thumb"] = _arm(landmarks, side, sign, (up, shoulders), height_m, fps)
+        bones[f"{side}_leg"], lateral = _leg(landmarks, side, up, hips, fps)
+        bones[f"{side}_foot"] = _foot(landmarks, side, lateral, height_m)
     return bones
 
 
-def _trunk(whole: Mapping[str, Track], up: Track, hips: Track, shoulders: Track) -> Chain:
-    low, high = middle(whole, "hip"), middle(whole, "shoulder")
+def _trunk(landmarks: Mapping[str, Track], up: Track, hips: Track, shoulders: Track) -> Chain:
+    low, high = middle(landmarks, "hip"), middle(landmarks, "shoulder")
     rise = high - low
     return chain([high + ABOVE * rise, (low + high) / 2, low - BELOW * rise], [shoulders, hips])
 
 
-def _head(whole: Mapping[str, Track], up: Track, shoulders: Track, height_m: float) -> Chain:
-    crown, neck = whole["head"], whole["neck"]
-    high = middle(whole, "shoulder")
+def _head(landmarks: Mapping[str, Track], up: Track, shoulders: Track, height_m: float) -> Chain:
+    crown, neck = landmarks["head"], landmarks["neck"]
+    high = middle(landmarks, "shoulder")
     axis = unit(unit(crown - neck) + 0.5 * up)
     length = np.minimum(HEAD_OVER_STATURE * height_m, LARGEST_HEAD * np.linalg.norm(crown - high, axis=1))[:, None]
     return chain([crown, crown - length * axis, high + 0.02 * up], [shoulders, shoulders])
 
 
-def _arm(whole: Mapping[str, Track], side: str, sign: float, chest: tuple[Track, Track], height_m: float, fps: float) -> tuple[Chain, Chain]:
-    up, left = chest
-    shoulder, elbow, wrist, hand = (whole[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist", "hand"))
+def _arm(landmarks: Mapping[str, Track], side: str, sign: float, chest: tuple[Track, Track], height_m: float, fps: float) -> tuple[Chain, Chain]:
+    up, trunk_left = chest
+    shoulder, elbow, wrist, hand = (landmarks[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist", "hand"))
     # The finger ends are the least reliable points of a capture.
-    along = steady(unit(hand - wrist), fps)
+    hand_axis = steady(unit(hand - wrist), fps)
     size = np.clip(np.linalg.norm(hand - wrist, axis=1, keepdims=True), SHORTEST_HAND * height_m, LONGEST_HAND * height_m)
-    hand = wrist + size * along
-    root = shoulder + 0.72 * (middle(whole, "shoulder") - shoulder) + 0.03 * up
-    upper, lower = hinge_laterals(elbow - shoulder, wrist - elbow, up, left, forwards=True, fps=fps)
-    girdle = turned(-up, unit(shoulder - root), left)
+    hand = wrist + size * hand_axis
+    root = shoulder + 0.72 * (middle(landmarks, "shoulder") - shoulder) + 0.03 * up
+    upper, lower = hinge_laterals(elbow - shoulder, wrist - elbow, up, trunk_left, forwards=True, fps=fps)
+    girdle = turned(-up, unit(shoulder - root), trunk_left)
     arm = chain([root, shoulder, elbow, wrist, hand], [girdle, upper, lower, lower])
     lateral = arm.laterals[:, 3]
-    ahead = np.cross(along, lateral)
-    base = wrist + size * (0.10 * along + 0.06 * ahead)
-    tip = wrist + size * (0.58 * along + 0.34 * ahead - sign * 0.10 * lateral)
+    forward = np.cross(hand_axis, lateral)
+    base = wrist + size * (0.10 * hand_axis + 0.06 * forward)
+    tip = wrist + size * (0.58 * hand_axis + 0.34 * forward - sign * 0.10 * lateral)
     return arm, chain([base, tip], [lateral])
 
 
-def _leg(whole: Mapping[str, Track], side: str, up: Track, left: Track, fps: float) -> tuple[Chain, Track]:
-    hip, knee, ankle = (whole[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
-    upper, lower = hinge_laterals(knee - hip, ankle - knee, up, left, forwards=False, fps=fps)
-    pelvis = across(left, up)
+def _leg(landmarks: Mapping[str, Track], side: str, up: Track, trunk_left: Track, fps: float) -> tuple[Chain, Track]:
+    hip, knee, ankle = (landmarks[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
+    upper, lower = hinge_laterals(knee - hip, ankle - knee, up, trunk_left, forwards=False, fps=fps)
+    pelvis = perpendicular(trunk_left, up)
     return chain([hip + 0.06 * up, hip, knee, ankle], [pelvis, upper, lower]), lower
 
 
-def _foot(whole: Mapping[str, Track], side: str, lateral: Track, height_m: float) -> Chain:
+def _foot(landmarks: Mapping[str, Track], side: str, lateral: Track, height_m: float) -> Chain:
     """A shoe's sole from behind the heel to beyond the toes. The height of the ankle above it is measured where the foot is flat."""
-    ankle, toe = whole[f"{side}_ankle"], whole[f"{side}_toe"]
+    ankle, toe = landmarks[f"{side}_ankle"], landmarks[f"{side}_toe"]
     reach = toe - ankle
     flat = np.argsort(ankle[:, 2] + toe[:, 2])[: max(1, len(ankle) // 8)]
     sink = np.arctan2(-np.median(reach[flat, 2]), np.median(np.linalg.norm(reach[flat, :2], axis=1)))
-    lateral = across(lateral, unit(reach))
+    lateral = perpendicular(lateral, unit(reach))
     # Rotate about the person's right by the angle of the slope.
     sole = unit(unit(reach) * np.cos(sink) + np.cross(-lateral, unit(reach)) * np.sin(sink))
     above = np.cross(sole, lateral)

@@ -33,14 +33,14 @@ def complete(landmarks: Landmarks) -> dict[str, Track]:
         InputError: a marker is missing, unknown in all frames, or not (frame, 3) like the others.
     """
     _check(landmarks)
-    whole = {name: _filled(name, track) for name, track in landmarks.items() if name in MARKERS or np.isfinite(track).any()}
-    centre = (whole["l_shoulder"] + whole["r_shoulder"]) / 2
-    whole.setdefault("neck", centre + 0.12 * (whole["head"] - centre))
+    tracks = {name: _filled(name, track) for name, track in landmarks.items() if name in MARKERS or np.isfinite(track).any()}
+    centre = (tracks["l_shoulder"] + tracks["r_shoulder"]) / 2
+    tracks.setdefault("neck", centre + 0.12 * (tracks["head"] - centre))
     for side in ("l", "r"):
-        wrist = whole[f"{side}_wrist"]
-        whole.setdefault(f"{side}_hand", wrist + HAND_OVER_FOREARM * (wrist - whole[f"{side}_elbow"]))
-        whole.setdefault(f"{side}_toe", _toe(whole, side))
-    return whole
+        wrist = tracks[f"{side}_wrist"]
+        tracks.setdefault(f"{side}_hand", wrist + HAND_OVER_FOREARM * (wrist - tracks[f"{side}_elbow"]))
+        tracks.setdefault(f"{side}_toe", _toe(tracks, side))
+    return tracks
 
 
 def _check(landmarks: Landmarks) -> None:
@@ -58,27 +58,27 @@ def _check(landmarks: Landmarks) -> None:
 def _filled(name: str, track: Track) -> Track:
     """The track with its gaps interpolated over time."""
     track = np.asarray(track, np.float64)
-    known = np.isfinite(track).all(axis=1)
-    if known.all():
+    is_measured = np.isfinite(track).all(axis=1)
+    if is_measured.all():
         return track
-    if not known.any():
+    if not is_measured.any():
         raise input_error(f"the motion's {name}", "unknown in every frame", "known in some frames", "choose a motion that has this marker")
     frames = np.arange(len(track))
-    return np.stack([np.interp(frames, frames[known], track[known, axis]) for axis in range(3)], axis=1)
+    return np.stack([np.interp(frames, frames[is_measured], track[is_measured, axis]) for axis in range(3)], axis=1)
 
 
-def _toe(whole: Mapping[str, Track], side: str) -> Track:
+def _toe(landmarks: Mapping[str, Track], side: str) -> Track:
     """A toe in front of the ankle: the foot is flat on the floor in stance, and perpendicular to the shank when lifted."""
-    ankle = whole[f"{side}_ankle"]
-    shank = ankle - whole[f"{side}_knee"]
+    ankle = landmarks[f"{side}_ankle"]
+    shank = ankle - landmarks[f"{side}_knee"]
     length = np.linalg.norm(shank, axis=1, keepdims=True)
-    left = whole["l_hip"] - whole["r_hip"]
-    lifted, flat = np.cross(shank, left), np.cross(left, np.array([0.0, 0.0, 1.0]))
+    hip_axis = landmarks["l_hip"] - landmarks["r_hip"]
+    lifted, flat = np.cross(shank, hip_axis), np.cross(hip_axis, np.array([0.0, 0.0, 1.0]))
     height = ankle[:, 2:] - np.percentile(ankle[:, 2], 5)
     stance = np.clip(1.0 - height / STANCE_M, 0.0, 1.0)
-    ahead = stance * unit(flat) + (1.0 - stance) * unit(lifted)
-    above = SOLE_OVER_SHANK * length * unit(np.cross(ahead, left))
-    return ankle + TOE_OVER_SHANK * length * unit(ahead) - 0.8 * above
+    forward = stance * unit(flat) + (1.0 - stance) * unit(lifted)
+    above = SOLE_OVER_SHANK * length * unit(np.cross(forward, hip_axis))
+    return ankle + TOE_OVER_SHANK * length * unit(forward) - 0.8 * above
 
 
 def unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:

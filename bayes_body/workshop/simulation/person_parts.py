@@ -106,12 +106,12 @@ def _arm_stretches(outfit: Outfit) -> list[Stretch]:
 
 def _tube(name: str, plan: Plan, stretches: list[Stretch], build: Build) -> Tube:
     stations = np.concatenate([np.linspace(start, end, count) for _, start, end, count in stretches])
-    garment = np.concatenate([np.full(count, what) for what, _, _, count in stretches])
+    garment = np.concatenate([np.full(count, material) for material, _, _, count in stretches])
     skin, roundness = shape.sides(plan.table, stations)
     skin = skin * _girth(name, build, stations)
     cloth = skin.copy()
-    for what, (cut, fit) in plan.cuts.items():
-        chosen = garment == what
+    for material, (cut, fit) in plan.cuts.items():
+        chosen = garment == material
         cloth[chosen] = worn(skin[chosen], stations[chosen], cut, fit)
     room = 0.8 * np.minimum((cloth - skin).mean(axis=1), 0.03) * np.isin(garment, tuple(plan.cuts))
     if name == "trunk":
@@ -218,13 +218,13 @@ def _garments(tubes: list[Tube], chosen: Palette) -> Float[np.ndarray, "ring ang
 
 def _woven(tube: Tube, chosen: Palette, random: np.random.Generator) -> Float[np.ndarray, "ring angle 3"]:
     """Factors that change the top's first colour into its pattern."""
-    along, angles = tube.distance_m[:, None], 2.0 * np.pi * np.arange(ANGLES) / ANGLES
-    bands, posts = np.sin(2.0 * np.pi * along / 0.11) > 0.1, np.sin(5.0 * angles) > 0.2
+    distance, angles = tube.distance_m[:, None], 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    bands, posts = np.sin(2.0 * np.pi * distance / 0.11) > 0.1, np.sin(5.0 * angles) > 0.2
     amount = {
-        "plain": np.zeros((len(along), ANGLES)),
-        "stripes": np.broadcast_to(bands, (len(along), ANGLES)).astype(float),
+        "plain": np.zeros((len(distance), ANGLES)),
+        "stripes": np.broadcast_to(bands, (len(distance), ANGLES)).astype(float),
         "plaid": 0.5 * bands + 0.5 * posts,
-        "mottled": np.clip(0.4 + 0.35 * random.standard_normal((len(along), ANGLES)), 0.0, 1.0),
+        "mottled": np.clip(0.4 + 0.35 * random.standard_normal((len(distance), ANGLES)), 0.0, 1.0),
     }[chosen.pattern]
     ratio = np.array(chosen.top[1]) / np.array(chosen.top[0])
     return 1.0 + amount[..., None] * (ratio - 1.0)

@@ -237,14 +237,14 @@ def hanging(rings: Rings, room_m: Float[np.ndarray, " ring"], stiffness_hz: floa
     loose = np.flatnonzero(room_m > 0)
     if not len(loose):
         return rings
-    centres, along = rings.centres[:, loose], rings.along[:, loose]
+    centres, tangents = rings.centres[:, loose], rings.tangents[:, loose]
     felt = GRAVITY - _acceleration(centres, fps)
-    felt = felt - np.sum(felt * along, axis=-1, keepdims=True) * along
+    felt = felt - np.sum(felt * tangents, axis=-1, keepdims=True) * tangents
     lag = _spring(felt, stiffness_hz, fps)
-    far = np.linalg.norm(lag, axis=-1, keepdims=True)
+    lag_m = np.linalg.norm(lag, axis=-1, keepdims=True)
     room = room_m[loose][:, None]
     moved = rings.centres.copy()
-    moved[:, loose] += room * np.tanh(far / room) * unit(lag)
+    moved[:, loose] += room * np.tanh(lag_m / room) * unit(lag)
     return rings._replace(centres=moved)
 
 

@@ -71,15 +71,15 @@ def rasterise(
     window = _window(visible, camera.size_px)
     if window is None:
         return picture, alpha
-    left, top, width, height = window
+    first_column, top, width, height = window
     size = (width * supersample, height * supersample)
-    corners = ((visible.corners - (left, top) + 0.5) * supersample - 0.5).astype(np.float32)
+    corners = ((visible.corners - (first_column, top) + 0.5) * supersample - 0.5).astype(np.float32)
     owner, covered = in_front(spans(corners, size), planes(corners, visible.depth), size)
     shade = _shaded(mesh, visible.number, light)
     samples = _painted(owner, covered, planes(corners, shade), mesh.colours[visible.number])
     pixels = cv2.resize(samples, (width, height), interpolation=cv2.INTER_AREA)
-    alpha[top : top + height, left : left + width] = pixels[..., 3]
-    part = picture[top : top + height, left : left + width]
+    alpha[top : top + height, first_column : first_column + width] = pixels[..., 3]
+    part = picture[top : top + height, first_column : first_column + width]
     part *= 1.0 - pixels[..., 3:]
     part += pixels[..., :3]
     return picture, alpha
@@ -131,8 +131,8 @@ def _window(visible: Facing, size: tuple[int, int]) -> tuple[int, int, int, int]
     columns, rows = visible.corners[..., 0].ravel(), visible.corners[..., 1].ravel()
     low = np.clip(np.floor([columns.min(), rows.min()]), 0, size).astype(int)
     high = np.clip(np.ceil([columns.max(), rows.max()]) + 1, 0, size).astype(int)
-    (left, top), (width, height) = low.tolist(), (high - low).tolist()
-    return (left, top, width, height) if width > 0 and height > 0 else None
+    (first_column, top), (width, height) = low.tolist(), (high - low).tolist()
+    return (first_column, top, width, height) if width > 0 and height > 0 else None
 
 
 def _shaded(mesh: Mesh, index: Int[np.ndarray, " face"], light: Light) -> Float[np.ndarray, "face 3"]:

@@ -91,8 +91,8 @@ def _window(surface: Surface, lens: Float[np.ndarray, "row column 3"], camera: C
     return rows, _span(lens[..., 0], 0, float(x.min()), float(x.max()))
 
 
-def _span(directions: Float[np.ndarray, "row column"], across: int, low: float, high: float) -> slice:
-    met = np.flatnonzero((directions.max(axis=across) >= low) & (directions.min(axis=across) <= high))
+def _span(directions: Float[np.ndarray, "row column"], axis: int, low: float, high: float) -> slice:
+    met = np.flatnonzero((directions.max(axis=axis) >= low) & (directions.min(axis=axis) <= high))
     return slice(int(met[0]), int(met[-1]) + 1) if met.size else slice(0, 0)
 
 
@@ -113,11 +113,11 @@ def _draw(
     offset = viewpoint - surface.corner
     # Columns: the ray's components along the normal and along both sides, each in units of the side's length.
     axes = np.stack([normal, surface.sides[0] / lengths[0], surface.sides[1] / lengths[1]], axis=1)
-    along = rays @ axes.astype(np.float32)
+    components = rays @ axes.astype(np.float32)
     start = (offset @ axes).astype(np.float32)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        t = -start[0] / along[..., 0]
-        u, v = (start[k] + t * along[..., k] for k in (1, 2))
+        t = -start[0] / components[..., 0]
+        u, v = (start[k] + t * components[..., k] for k in (1, 2))
         mask = (t > 1e-4) & (t < depth) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
     if not mask.any():
         return

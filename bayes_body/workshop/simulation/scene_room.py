@@ -108,15 +108,15 @@ def _sheets(rng: np.random.Generator, low: Float[np.ndarray, "3"], high: Float[n
     """Posters and boards on the walls, each some millimetres in front of those that it may cover."""
     sheets = []
     for number in range(count):
-        before = SHEET_M * (number + 1)
-        axis, far = int(rng.integers(2)), int(rng.integers(2))
-        along = np.eye(3)[1 - axis]
+        gap = SHEET_M * (number + 1)
+        axis, is_far_wall = int(rng.integers(2)), int(rng.integers(2))
+        wall_axis = np.eye(3)[1 - axis]
         width, height = rng.uniform(0.4, 1.4), rng.uniform(0.4, 1.1)
         place = rng.uniform(low[1 - axis], max(high[1 - axis] - width, low[1 - axis] + 0.1))
         corner = np.zeros(3)
-        corner[axis] = (high if far else low)[axis] + (-before if far else before)
+        corner[axis] = (high if is_far_wall else low)[axis] + (-gap if is_far_wall else gap)
         corner[1 - axis], corner[2] = place, rng.uniform(max(height + 0.4, 1.5), max(high[2] - 0.2, 1.6 + height))
-        sheets.append(Surface(corner, np.stack([width * along, -height * UP]), texture.poster(rng, strength), (1.0, 1.0), rng.uniform(0.8, 1.1)))
+        sheets.append(Surface(corner, np.stack([width * wall_axis, -height * UP]), texture.poster(rng, strength), (1.0, 1.0), rng.uniform(0.8, 1.1)))
     return sheets
 
 

@@ -110,9 +110,9 @@ def drawers(rng: np.random.Generator, strength: float) -> Texture:
     rows, columns = int(rng.integers(2, 5)), int(rng.integers(1, 3))
     for r in range(rows):
         for c in range(columns):
-            top, left, bottom, right = r * SIDE // rows, c * SIDE // columns, (r + 1) * SIDE // rows, (c + 1) * SIDE // columns
-            cv2.rectangle(picture, (left + 5, top + 5), (right - 5, bottom - 5), (picture[0, 0] * 0.6).tolist(), 4)
-            cv2.circle(picture, ((left + right) // 2, (top + bottom) // 2), 9, (picture[0, 0] * 0.4).tolist(), -1)
+            top, first_column, bottom, right = r * SIDE // rows, c * SIDE // columns, (r + 1) * SIDE // rows, (c + 1) * SIDE // columns
+            cv2.rectangle(picture, (first_column + 5, top + 5), (right - 5, bottom - 5), (picture[0, 0] * 0.6).tolist(), 4)
+            cv2.circle(picture, ((first_column + right) // 2, (top + bottom) // 2), 9, (picture[0, 0] * 0.4).tolist(), -1)
     return finish(picture, pink(rng), 6 * strength)
 
 

@@ -116,14 +116,14 @@ def _film(performance: Performance, filming: Sequence[Camera], rig: Rig, folder:
 
 def _taken(pool: ThreadPoolExecutor, performance: Performance, filming: Sequence[Camera]) -> Iterator[list[Future[Picture]]]:
     """All cameras' images of each frame. Those of the next frame are computed while one is consumed."""
-    ahead: list[Future[Picture]] = []
+    next_frame: list[Future[Picture]] = []
     for frame in range(len(performance)):
         mesh = performance.mesh(frame)
         following = [pool.submit(camera.take, mesh, frame) for camera in filming]
-        if ahead:
-            yield ahead
-        ahead = following
-    yield ahead
+        if next_frame:
+            yield next_frame
+        next_frame = following
+    yield next_frame
 
 
 def _session(
@@ -156,9 +156,9 @@ def _session(
 def _keypoints(rig: Rig, markers: Float[np.ndarray, "15 3"], options: Options) -> dict[str, dict[str, tuple[float, float, float]]]:
     """A detector's keypoints in the first frame, in the cameras that do not move, or in all cameras if all of them move."""
     points = dict(zip(MARKERS, markers, strict=True))
-    still = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
+    fixed_cameras = [c for c, path in enumerate(rig.path) if path is None] or range(len(rig.cameras))
     by_camera = {}
-    for c in still:
+    for c in fixed_cameras:
         rng = np.random.default_rng((options.seed, 17, c))
         keypoints = detected(rng, rig.cameras[c], points, options.keypoint_sd_px)
         if keypoints:

@@ -34,8 +34,8 @@ def stature_m(landmarks: Landmarks) -> float:
     spine = [*(points[name] for name in SPINE), hips]
     stretches = [np.linalg.norm(a - b, axis=-1) for a, b in pairwise(spine)]
     for upper, lower in (("hip", "knee"), ("knee", "ankle")):
-        both = [np.linalg.norm(points[f"{side}_{upper}"] - points[f"{side}_{lower}"], axis=-1) for side in "lr"]
-        stretches.append(np.mean(both, axis=0))
+        lengths = [np.linalg.norm(points[f"{side}_{upper}"] - points[f"{side}_{lower}"], axis=-1) for side in "lr"]
+        stretches.append(np.mean(lengths, axis=0))
     return float(sum(np.nanmedian(stretch) for stretch in stretches) / DOWN_TO_ANKLE)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_body.workshop.simulation.person_bones import Chain, across
+from bayes_body.workshop.simulation.person_bones import Chain, perpendicular
 from bayes_body.workshop.simulation.person_motion import unit
 
 # Points per ring; the first is towards the person's left, a quarter further is the front.
@@ -27,12 +27,12 @@ class Rings(NamedTuple):
 
     Attributes:
         centres: (frame, ring, 3), metres.
-        along: (frame, ring, 3), unit, towards the next ring.
+        tangents: (frame, ring, 3), unit, towards the next ring.
         lateral: (frame, ring, 3), unit, the direction of a ring's first point.
     """
 
     centres: Float[np.ndarray, "frame ring 3"]
-    along: Float[np.ndarray, "frame ring 3"]
+    tangents: Float[np.ndarray, "frame ring 3"]
     lateral: Float[np.ndarray, "frame ring 3"]
 
 
@@ -49,19 +49,19 @@ def sweep(bones: Chain, stations: Float[np.ndarray, " ring"], blend_m: Float[np.
     bone = np.clip(stations.astype(int), 0, steps.shape[1] - 1)
     fraction = stations - bone
     centres = bones.points[:, bone] + fraction[:, None] * steps[:, bone]
-    along, lateral = directions[:, bone], bones.laterals[:, bone]
+    tangents, lateral = directions[:, bone], bones.laterals[:, bone]
     for joint, reach in enumerate(blend_m):
-        near, far = lengths[:, joint, None], lengths[:, joint + 1, None]
-        radius = np.maximum(np.minimum(reach, LONGEST_BLEND * np.minimum(near, far)), 1e-6)
-        ahead = np.where(bone == joint, (fraction - 1.0) * near, np.where(bone == joint + 1, fraction * far, np.inf))
-        inside = (np.abs(ahead) < radius)[..., None]
-        w, r = np.clip(0.5 + 0.5 * ahead / radius, 0.0, 1.0)[..., None], radius[..., None]
-        before, after = directions[:, None, joint], directions[:, None, joint + 1]
-        bent = bones.points[:, None, joint + 1] - (1.0 - w) ** 2 * r * before + w**2 * r * after
+        lower_m, upper_m = lengths[:, joint, None], lengths[:, joint + 1, None]
+        radius = np.maximum(np.minimum(reach, LONGEST_BLEND * np.minimum(lower_m, upper_m)), 1e-6)
+        offset = np.where(bone == joint, (fraction - 1.0) * lower_m, np.where(bone == joint + 1, fraction * upper_m, np.inf))
+        inside = (np.abs(offset) < radius)[..., None]
+        w, r = np.clip(0.5 + 0.5 * offset / radius, 0.0, 1.0)[..., None], radius[..., None]
+        direction_in, direction_out = directions[:, None, joint], directions[:, None, joint + 1]
+        bent = bones.points[:, None, joint + 1] - (1.0 - w) ** 2 * r * direction_in + w**2 * r * direction_out
         centres = np.where(inside, bent, centres)
-        along = np.where(inside, unit((1.0 - w) * before + w * after), along)
+        tangents = np.where(inside, unit((1.0 - w) * direction_in + w * direction_out), tangents)
         lateral = np.where(inside, (1.0 - w) * bones.laterals[:, None, joint] + w * bones.laterals[:, None, joint + 1], lateral)
-    return Rings(centres, along, across(lateral, along))
+    return Rings(centres, tangents, perpendicular(lateral, tangents))
 
 
 def sections(

@@ -139,9 +139,9 @@ def test_a_close_check_draws_more_and_says_so(tmp_path):
     path = tmp_path / "kept"
     for _ in range(2):
         with pytest.raises(_StoppedError):
-            _decided(CLOSE_SEED, 0.0, kept=ReplicationLog(path, {}), watch=stop)
+            _decided(CLOSE_SEED, 0.0, log=ReplicationLog(path, {}), watch=stop)
     assert len(ReplicationLog(path, {})) == 6
-    again, told_again, lines_again = _decided(CLOSE_SEED, 0.0, kept=ReplicationLog(path, {}))
+    again, told_again, lines_again = _decided(CLOSE_SEED, 0.0, log=ReplicationLog(path, {}))
     assert all((again.ranks[name] == found.ranks[name]).all() for name in found.ranks)
     assert told_again == told and lines_again == lines
 
@@ -162,14 +162,14 @@ def test_a_pilot_that_chose_too_few_particles_is_corrected_once_they_are_counted
         # The log was begun with this number of particles.
         tried.append((plan.options["particles"], settings_of(path)["options"]["particles"]))
         kept.add(SBC, 0, {"rank": np.zeros(1)})
-        return Findings((), {}, BINS), Verdict(False, (), {"effective": {"short_share": 0.1}}, enough=plan.options["particles"] >= 2000)
+        return Findings((), {}, BINS), Verdict(False, (), {"effective": {"short_share": 0.1}}, ess_suffices=plan.options["particles"] >= 2000)
 
     monkeypatch.setattr(report, "run_check", checked)
     used, _, told = report._checked(plan, True, 10, 0, path, lines.append, False)
-    assert tried == [(500, 500), (1000, 1000), (2000, 2000)] and used.options["particles"] == 2000 and told.enough
+    assert tried == [(500, 500), (1000, 1000), (2000, 2000)] and used.options["particles"] == 2000 and told.ess_suffices
     assert lines[0] == "particles: 500 are too few for 10.0% of the replications: once more with 1000."
     tried.clear()
     path.unlink()
     # The user's own number stays.
     used, _, told = report._checked(plan, False, 10, 0, path, lines.append, False)
-    assert tried == [(500, 500)] and used == plan and not told.enough
+    assert tried == [(500, 500)] and used == plan and not told.ess_suffices

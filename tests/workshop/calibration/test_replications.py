@@ -59,7 +59,7 @@ def test_an_interrupted_check_goes_on_to_the_same_end(tmp_path):
         raise _StoppedError
 
     with pytest.raises(_StoppedError):
-        run_replications(MAKE, COUNTS, kept=ReplicationLog(path, SETTINGS), watch=stop)
+        run_replications(MAKE, COUNTS, log=ReplicationLog(path, SETTINGS), watch=stop)
     before = ReplicationLog(path, SETTINGS)
     assert len(before) == 2
     # The computer stopped in the middle of a line.
@@ -68,9 +68,9 @@ def test_an_interrupted_check_goes_on_to_the_same_end(tmp_path):
     kept = ReplicationLog(path, SETTINGS)
     assert len(kept) == 2
     asked = []
-    assert same(whole, run_replications(MAKE, COUNTS, kept=kept, watch=lambda blocks: asked.extend(blocks) or blocks))
+    assert same(whole, run_replications(MAKE, COUNTS, log=kept, watch=lambda blocks: asked.extend(blocks) or blocks))
     assert len(asked) == -(-25 // BLOCK) + -(-12 // BLOCK) - 2
-    assert same(whole, run_replications(MAKE, COUNTS, kept=ReplicationLog(path, SETTINGS)))
+    assert same(whole, run_replications(MAKE, COUNTS, log=ReplicationLog(path, SETTINGS)))
     assert settings_of(path) == json.loads(json.dumps(SETTINGS))
     kept.remove()
     assert not path.exists()
@@ -93,4 +93,4 @@ def test_a_file_that_cannot_be_written_is_said(tmp_path):
 
 @pytest.mark.slow
 def test_processes_change_nothing(tmp_path):
-    assert same(run_replications(MAKE, COUNTS), run_replications(MAKE, COUNTS, jobs=2, kept=ReplicationLog(tmp_path / "kept", SETTINGS)))
+    assert same(run_replications(MAKE, COUNTS), run_replications(MAKE, COUNTS, jobs=2, log=ReplicationLog(tmp_path / "kept", SETTINGS)))

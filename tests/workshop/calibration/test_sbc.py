@@ -152,7 +152,7 @@ def test_truths_at_a_limit_are_ranked_at_random():
         after, info = kernels.sir()(key, particles, density)
         return after._replace(states=jax.tree.map(jnp.zeros_like, after.states)), info
 
-    still = dataclasses.replace(problem, quantities=dataclasses.replace(problem.quantities, of=lambda state: 0.0 * state["x"]))
+    still = dataclasses.replace(problem, quantities=dataclasses.replace(problem.quantities, compute=lambda state: 0.0 * state["x"]))
     found = ranks(sbc.replicate(still, frozen, 50, frames=1, bins=BINS))
     assert bands.p_values(bands.rank_counts(found.ranks[:, :2], BINS)).min() > LIMIT
     assert abs(found.levels.mean() - 0.5) < 4 / np.sqrt(12 * found.levels.size)

@@ -23,7 +23,7 @@ def _replications(session, **options):
     problem, kernel = problem_of(build_model("arm_markers", session)), kernels.sir()
     case = jax.jit(lambda key: draw_case(key, problem, FRAMES))
     step = jax.jit(lambda key, particles, data: kernel(key, particles, problem.density(data, particles)))
-    figures = jax.jit(jax.vmap(lambda here, after: jnp.concatenate([problem.quantities.of(here), after["pose"] - here["pose"]])))
+    figures = jax.jit(jax.vmap(lambda here, after: jnp.concatenate([problem.quantities.compute(here), after["pose"] - here["pose"]])))
     frames, data = [], []
     walk = Backward(
         build_smoother(draws=BINS - 1, **options), problem.transition, lambda t: frames[t], lambda t, before: problem.density(data[t], before)

@@ -87,8 +87,8 @@ def test_too_few_particles_are_decided_by_the_first_look():
     found = findings()
     ess = np.where(np.arange(COUNT)[:, None] < COUNT // 4, 500.0, 120.0) * np.ones(3)
     late = found._replace(ranks=found.ranks | {"ess": ess}, looks={SBC: 2, INVARIANCE: 0})
-    assert verdict(late).enough and "75.0% of the replications have too few" in verdict(late).sentences[1]
-    assert not verdict(late._replace(looks={SBC: 0, INVARIANCE: 0})).enough
+    assert verdict(late).ess_suffices and "75.0% of the replications have too few" in verdict(late).sentences[1]
+    assert not verdict(late._replace(looks={SBC: 0, INVARIANCE: 0})).ess_suffices
 
 
 def test_a_close_test_is_named_and_no_other():

@@ -136,13 +136,13 @@ def test_a_kernel_follows_a_scene_of_a_definition(scenes, pair, monkeypatch):
         return lambda *state: traces.append(1) or kernel(*state)
 
     monkeypatch.setitem(registry._terms, ("kernel", pair.kernel), term._replace(build=counted))
-    blind = [f.name for f in scenes.scene_of(definition).model.factors if f.side == "likelihood" and not f.has_gradient]
+    blind = [f.name for f in scenes.of(definition).model.factors if f.side == "likelihood" and not f.has_gradient]
     if blind and _follows_gradients(pair, options):
         with pytest.raises(InputError) as error:
             followed(scenes, definition, pair.kernel, options, TINY)
         _check_refusal(error, blind[0])
         return
-    if _lacks_nodes(pair, scenes.scene_of(definition).model):
+    if _lacks_nodes(pair, scenes.of(definition).model):
         with pytest.raises(InputError, match=NO_NODES):
             followed(scenes, definition, pair.kernel, options, TINY)
         return
@@ -253,7 +253,7 @@ def test_a_recording_that_was_given_takes_the_place_of_scenes(rows, textured_ses
 @pytest.mark.slow
 def test_what_is_drawn_is_the_model_s_own(tmp_path):
     """The truth of a drawn scene is what its data are of: at the true pose they lie within their own noise."""
-    scene = Scenes(tmp_path, 4).scene_of(load_definition("arm_markers"))
+    scene = Scenes(tmp_path, 4).of(load_definition("arm_markers"))
     truth = np.load(scene.session.truth_path)
     known = list(scene.model.body.markers.names)
     positions = truth["markers"][:, [list(truth["names"]).index(name) for name in known]]

@@ -130,9 +130,9 @@ def test_the_order_of_states_is_arbitrary(sequences, begin, found):
 def test_padding_changes_nothing(sequences, begin, found):
     data = padded([*sequences, np.zeros((0, 3))], 7)
     # What stands in frames that do not exist is never read.
-    longer = np.concatenate([np.where(data.known[..., None], data.values, np.nan), np.full((len(data.values), 40, 3), 1e9)], axis=1)
-    known = np.concatenate([data.known, np.zeros((len(data.known), 40), bool)], axis=1)
-    other = fit(begin, data._replace(values=longer, known=known), ROUNDS, -1.0)
+    longer = np.concatenate([np.where(data.mask[..., None], data.values, np.nan), np.full((len(data.values), 40, 3), 1e9)], axis=1)
+    mask = np.concatenate([data.mask, np.zeros((len(data.mask), 40), bool)], axis=1)
+    other = fit(begin, data._replace(values=longer, mask=mask), ROUNDS, -1.0)
     _same(other.hmm, found.hmm)
     alone = [log_likelihood(_of(found.hmm, 0), padded([sequence]))[0] for sequence in sequences]
     together = log_likelihood(_of(found.hmm, 0), data)

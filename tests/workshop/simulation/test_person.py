@@ -120,9 +120,9 @@ def test_skin_runs_on_across_a_knee_that_is_bent_far():
     left = np.array([[0.0, 1.0, 0.0]])
     rings = sweep(chain(points, [left, left]), np.linspace(0.0, 2.0, 81), np.array([0.065]))
     assert np.linalg.norm(np.diff(rings.centres[0], axis=0), axis=1).max() < 0.0101
-    turn = np.sum(rings.along[0, 1:] * rings.along[0, :-1], axis=1)
+    turn = np.sum(rings.tangents[0, 1:] * rings.tangents[0, :-1], axis=1)
     assert np.degrees(np.arccos(turn.min())) < 35
-    np.testing.assert_allclose(np.sum(rings.along * rings.lateral, axis=-1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(rings.tangents * rings.lateral, axis=-1), 0.0, atol=1e-12)
 
 
 def test_the_shortest_turn(walk):
