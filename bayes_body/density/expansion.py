@@ -10,7 +10,7 @@ The terms are all factors of a frame; the motion prior is left out. Three kinds 
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -53,7 +53,11 @@ def expand(density: Density, state_of: Callable[[Float[Array, " dof"]], State], 
     for factor in others:
         expansion = _of_any if factor.curvature is None else _of_curved
         pieces.append(expansion(factor, density, state_of, x))
-    return Expansion(*(sum(terms[1:], terms[0]) for terms in zip(*pieces, strict=True)))
+    return _summed(pieces)
+
+
+def _summed(pieces: list[Expansion]) -> Expansion:
+    return reduce(lambda one, other: Expansion(*map(jnp.add, one, other)), pieces)
 
 
 def _of_composed(factors: list[Factor], density: Density, state_of: Callable[[Array], State], x: Array) -> Expansion:
@@ -73,7 +77,7 @@ def _of_composed(factors: list[Factor], density: Density, state_of: Callable[[Ar
         J, M = jacobian.reshape(-1, *jacobian.shape[-2:]), _row_blocks(outer, y)
         gradient = jnp.einsum("ria,ri->a", J, slope.reshape(J.shape[:2]))
         pieces.append(Expansion(value, gradient, jnp.einsum("ria,rib->ab", J, jnp.einsum("rij,rjb->rib", M, J))))
-    return Expansion(*(sum(terms[1:], terms[0]) for terms in zip(*pieces, strict=True)))
+    return _summed(pieces)
 
 
 def _outer(potential: Composed, data: Any, rows: Array) -> Scalar:

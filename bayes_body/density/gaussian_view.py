@@ -191,7 +191,7 @@ def _moments_of_draws(key: Key, density: Density, coordinates: Chart) -> _Moment
 
 def _moments_of_nodes(density: Density, coordinates: Chart) -> _Moments:
     """Return the mean and the covariance of the prediction by quadrature."""
-    weights, node_weights = jax.nn.softmax(density.previous.log_weights), np.array(NODE_WEIGHTS, density.previous.log_weights.dtype)
+    weights, node_weights = jax.nn.softmax(density.previous.log_weights), jnp.array(NODE_WEIGHTS, density.previous.log_weights.dtype)
 
     def after(before: State) -> tuple[Float[Array, " dof"], Float[Array, " dof"]]:
         distributions = density.transition.conditional(before)
