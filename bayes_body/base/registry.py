@@ -3,7 +3,7 @@
 A built-in term is imported when it is first looked up, so that listing names costs nothing. A user's plugin adds terms with `register`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, get_args
@@ -25,6 +25,22 @@ OTHER = "other"
 type Reads = tuple[str, ...] | Callable[[Any], tuple[str, ...]]
 
 
+class FewCameras(NamedTuple):
+    """What is taken by default instead of a kernel if a recording has too few cameras for it.
+
+    Attributes:
+        cameras: the smallest number of cameras that suffices.
+        kernel: the kernel for fewer.
+        options: its options.
+        reason: why, as the end of a sentence that begins with the number of cameras.
+    """
+
+    cameras: int
+    kernel: str
+    options: Mapping[str, Any]
+    reason: str
+
+
 class Term(NamedTuple):
     """A registered term.
 
@@ -38,6 +54,8 @@ class Term(NamedTuple):
         recovers: of a kernel: whether a lost run looks for the person again unless the user says otherwise.
         markov_move: of a kernel: a function of its options that returns its Markov move (`kernels.markov_moves`); None if it has none.
         instead: of a kernel: what a user may do instead where few of its particles carry the weight, such as `use --kernel tempered`.
+        runs_together: of a kernel: whether the devices share the runs. Otherwise they share the particles of each run.
+        few_cameras: of a kernel: what is taken instead with few cameras; None if it serves any number.
     """
 
     options: type[BaseModel]
@@ -48,6 +66,8 @@ class Term(NamedTuple):
     recovers: bool = False
     markov_move: Callable[[Any], Any] | None = None
     instead: str = ""
+    runs_together: bool = False
+    few_cameras: FewCameras | None = None
 
     def evidence(self, options: BaseModel) -> tuple[str, ...]:
         """Return what a likelihood with these options compares the body with."""
@@ -99,6 +119,8 @@ def register(
     recovers: bool = False,
     markov_move: Callable[[Any], Any] | None = None,
     instead: str = "",
+    runs_together: bool = False,
+    few_cameras: FewCameras | None = None,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a build function under a name in a room. Use it as a decorator.
 
@@ -116,6 +138,8 @@ def register(
         recovers: for a kernel, whether a lost run looks for the person again by default.
         markov_move: for a kernel, a function of its options that returns its Markov move, for `bayes-body check`.
         instead: for a kernel, what a user may do instead where few particles carry the weight.
+        runs_together: for a kernel of few particles, whether the devices share the runs and not the particles of each run.
+        few_cameras: for a kernel, what is taken instead by default if a recording has too few cameras for it.
 
     Raises:
         InputError: there is no such room or observation, the name is taken, or the options are not a schema.
@@ -123,7 +147,8 @@ def register(
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
         _check(room, name, options, build)
-        terms: dict[Place, Term] = {(room, name): Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead)}
+        term = Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead, runs_together, few_cameras)
+        terms: dict[Place, Term] = {(room, name): term}
         if observation is not None:
             terms["observation", name] = find("observation", observation)
         for place in terms:

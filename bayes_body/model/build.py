@@ -25,7 +25,7 @@ from bayes_body.model.body.placement import PARTS
 from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import Definition, evidence_of, load_body, load_definition
 from bayes_body.model.first import First, first_of
-from bayes_body.model.kernel_options import check_options, kernel_of, kernel_options
+from bayes_body.model.kernel_options import check_options, few_cameras, kernel_of, kernel_options
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
 
 # Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
@@ -46,6 +46,7 @@ class Model:
         factors: all other terms.
         first: the distribution of the state before the first frame.
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
+        cameras: number of the session's cameras that have what the likelihoods read.
     """
 
     definition: Definition
@@ -56,6 +57,7 @@ class Model:
     factors: tuple[Factor, ...]
     first: First
     observers: Mapping[str, Callable[[Any], Any]]
+    cameras: int = 1
 
     @property
     def reads(self) -> list[str]:
@@ -87,7 +89,7 @@ class Model:
         return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), before)
 
     def kernel(self, kind: str | None = None, /, **changes: Any) -> NamedKernel:
-        """Return the kernel of the definition, with single options changed.
+        """Return the kernel of the definition, or the one that replaces it for a single camera, with single options changed.
 
         Args:
             kind: another kernel's name, such as `sir`, which then has its own defaults; by default the definition's.
@@ -96,8 +98,9 @@ class Model:
         Raises:
             InputError: there is no such kernel, it has no such option, or an option's value is not allowed.
         """
-        check_options(kind or self.definition.kernel.kind, changes)
-        kind, options = kernel_options(self.definition, kind, changes)
+        few = few_cameras(self.definition.kernel.kind, self.cameras)
+        check_options(kind or (few.kernel if few else self.definition.kernel.kind), changes)
+        kind, options = kernel_options(self.definition, kind, changes, cameras=self.cameras)
         return kernel_of(kind, options)
 
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
@@ -164,7 +167,14 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     transition, after_found = (_transition(definition, body, session, gap) for gap in (1.0, max(1.0, FOUND_S * session.fps)))
     first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
     _check_derived(transition, first.mode)
-    return Model(definition, body, rig, transition, after_found, tuple(factors), first, observers)
+    return Model(definition, body, rig, transition, after_found, tuple(factors), first, observers, _cameras(definition, session))
+
+
+def _cameras(definition: Definition, session: Session) -> int:
+    """Return how many cameras have what the likelihoods read."""
+    if evidence_of(definition) != ["keypoints"]:
+        return len(session.views)
+    return sum(session.keypoints_path(view) is not None for view in session.views)
 
 
 def with_likelihoods(model: Model, name: str | Path | Definition) -> Model:

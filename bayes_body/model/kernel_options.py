@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from bayes_body.base.errors import InputError, input_error, nearest
-from bayes_body.base.registry import find
+from bayes_body.base.registry import FewCameras, find
 from bayes_body.base.toml.read import validate
 from bayes_body.density.kernel import Kernel, NamedKernel
 from bayes_body.model.definition import Definition
@@ -16,24 +16,31 @@ FLAGS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 
 def kernel_options(
-    definition: Definition, kind: str | None = None, overrides: Mapping[str, Any] | None = None, stored: Mapping[str, Any] | None = None
+    definition: Definition,
+    kind: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    stored: Mapping[str, Any] | None = None,
+    cameras: int | None = None,
 ) -> tuple[str, Any]:
     """Return a kernel's name and its validated options.
 
     The options are those of the definition if it names this kernel, else the kernel's defaults. `overrides` replace single options.
+    If no kernel is named, and the recording has too few cameras for that of the definition, it is another one (`registry.FewCameras`).
 
     Args:
         definition: the model's definition.
         kind: the kernel's name; None for that of the definition.
         overrides: options given for this run.
         stored: kernel and options of the continued run; they replace those of the definition if the kernel is the same.
+        cameras: number of cameras that see what the model reads; None if there is no recording.
 
     Raises:
         InputError: there is no such kernel, it has no such option, or an option's value is not allowed.
     """
-    kind, overrides = kind or definition.kernel.kind, overrides or {}
+    few, overrides = few_cameras(definition.kernel.kind, cameras) if kind is None else None, overrides or {}
+    kind = few.kernel if few else kind or definition.kernel.kind
     schema = find("kernel", kind).options
-    options = definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
+    options = dict(few.options) if few else definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
     if stored and stored.get("kind") == kind:
         options = {name: value for name, value in stored.items() if name != "kind"}
     for name in overrides:
@@ -41,6 +48,32 @@ def kernel_options(
             problem, expected = f"the kernel '{kind}' has no such option", f"one of {', '.join(schema.model_fields)}"
             raise input_error(f"--{name.replace('_', '-')}" if name in FLAGS else f"--set {name}", problem, expected, "leave it out")
     return kind, validate(schema, options | dict(overrides), f"the options of the kernel '{kind}'")
+
+
+def few_cameras(kind: str, cameras: int | None) -> FewCameras | None:
+    """Return what is taken by default instead of a kernel for so few cameras; None if it serves them."""
+    few = find("kernel", kind).few_cameras
+    return few if few and cameras is not None and cameras < few.cameras else None
+
+
+def kernel_sentences(definition: Definition, kind: str, cameras: int) -> tuple[str, str]:
+    """Return a line that says which kernel was chosen and why, and a warning if it was named in spite of too few cameras; each may be empty.
+
+    Args:
+        definition: the model's definition.
+        kind: the kernel that is used.
+        cameras: number of cameras that see what the model reads.
+    """
+    own = find("kernel", definition.kernel.kind).few_cameras
+    seeing = f"{cameras} camera{'s' if cameras > 1 else ''}"
+    few = few_cameras(definition.kernel.kind, cameras)
+    line = ""
+    if own and kind == definition.kernel.kind and not few:
+        line = f"kernel     {kind}, because {seeing} see the person; --kernel names another."
+    if few and kind == few.kernel:
+        line = f"kernel     {kind}, because with {seeing} {few.reason}; --kernel names another."
+    unfit = few_cameras(kind, cameras)
+    return line, f"the kernel {kind} with {seeing}: {unfit.reason}; use --kernel {unfit.kernel}." if unfit else ""
 
 
 def check_options(kind: str, changes: Mapping[str, Any]) -> None:

@@ -102,7 +102,7 @@ def rehearsed(seed: int, size: Size) -> Iterator[tuple[Ahead, Future[Any]]]:
     with TemporaryDirectory(prefix="bayes-body-demo-") as folder, ThreadPoolExecutor(1, thread_name_prefix="rehearsal") as pool:
         session = unposed(film(Path(folder) / SESSION, seed, 1, bar=False))
         model = build_model(MODEL, session)
-        kind, options = kernel_options(model.definition, None, {"particles": size.particles})
+        kind, options = kernel_options(model.definition, None, {"particles": size.particles}, cameras=model.cameras)
         searching = pool.submit(lambda: PersonSearch(session).searched(0))
         with compiled_ahead(session, model, kernel_of(kind, options), size.particles) as ahead:
             yield ahead, searching

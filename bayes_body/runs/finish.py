@@ -94,7 +94,8 @@ def finish(
         show: receives lines for the user.
         bar: whether to show the progress on standard error.
         smoothed: whether a draw is a path through all frames.
-        pictures: whether to draw the video and the stills. A later call may draw them.
+        pictures: whether to draw the video and the stills, and to compare a body that was fitted to keypoints with the silhouettes. A later call may
+            draw them.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -107,7 +108,7 @@ def finish(
         summary = json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))
     else:
         diagnosis, warnings = _diagnosed(results, bar)
-        summary = summarise(session, draws, **figures, watch=watched("figures", bar)) | diagnosis
+        summary = summarise(session, draws, **figures, watch=watched("figures", bar), pictures=pictures) | diagnosis
         summary["angles"] = _angles(session, draws.model, results) if smoothed else None
         summary["frame_pairs"] = remarks
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]

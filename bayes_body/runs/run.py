@@ -27,7 +27,7 @@ from bayes_body.initial import (
 from bayes_body.initial.search.automatic import check_pictures
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.model.kernel_options import kernel_of, kernel_options
+from bayes_body.model.kernel_options import kernel_of, kernel_options, kernel_sentences
 from bayes_body.recording.session.read import load_session
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics import true_markers
@@ -78,8 +78,11 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         session = unposed(session)
     name = chosen.model or _chosen_model(session, show)
     definition = load_definition(name)
-    kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"))
     model = build_model(definition, session)
+    kind, options = kernel_options(definition, chosen.kernel, settings.overrides, (before or {}).get("kernel"), model.cameras)
+    line, warning = kernel_sentences(definition, kind, model.cameras)
+    if line and chosen.kernel is None:
+        show(line)
     check_size(model, options.model_dump(), chosen.runs)
     # Everything that a user can correct is checked before the program is compiled.
     if chosen.init == GIVEN:
@@ -102,10 +105,13 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         refuse_changes(settings.out, before, record)
         # Its texts stay as they were: no number depends on what differs, but the run's id does.
         record = {**record, "definition": before["definition"]}
-    pairs = check_pairs(session, model, chosen.frames or session.frames, show, bar)
+    remarks = check_pairs(session, model, chosen.frames or session.frames, show, bar)
+    if warning:
+        show(warning_line(warning))
+        remarks = [warning, *remarks]
     kernel = kernel_of(kind, options)
     is_slow = source in ("fitted", "searched")
-    compiling = compiled_ahead(session, model, kernel, options.particles) if is_slow and ahead is None else nullcontext(ahead)
+    compiling = compiled_ahead(session, model, kernel, options.particles, chosen.runs) if is_slow and ahead is None else nullcontext(ahead)
     with compiling as ahead, waiting("first pose: fitting the body to the first frame; the program compiles meanwhile", bar and is_slow):
         table_name = f"{settings.out / RUN_FILE}: first_pose"
         estimate = first_pose(model, session, source, show=show, seed=chosen.seed, table=first_pose_table, table_name=table_name)
@@ -126,7 +132,7 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
             draws = track(key, session, model, kernel, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
         results = Results(settings.out, frames)
         figures = {"kernel": kind, "seed": chosen.seed}
-        return finish(session, draws, results, figures, pairs, show, bar, pictures=settings.pictures)
+        return finish(session, draws, results, figures, remarks, show, bar, pictures=settings.pictures)
 
 
 def _chosen_model(session: Session, show: Show) -> str:

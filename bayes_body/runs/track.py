@@ -12,10 +12,12 @@ from pydantic import BaseModel
 
 from bayes_body.base.errors import RunWarning, input_error
 from bayes_body.base.progress import waiting, watched
+from bayes_body.base.registry import names
 from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
 from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.model.build import Model
+from bayes_body.model.kernel_options import kernel_sentences
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
@@ -108,6 +110,12 @@ def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[Smoo
     return replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
 
 
+def _kernel_warning(draws: Draws) -> list[str]:
+    """Return a warning if the kernel needs more cameras than the recording has."""
+    warning = kernel_sentences(draws.model.definition, draws.kernel, draws.model.cameras)[1] if draws.kernel in names("kernel") else ""
+    return [warning] if warning else []
+
+
 def _check_order(key: object, session: object, model: object, kernel: object) -> None:
     """Name the order of the arguments if they have another, such as that of earlier versions."""
     expected = {"key": (key, jax.Array), "session": (session, Session), "model": (model, Model)}
@@ -156,4 +164,4 @@ def run_sentences(session: Session, draws: Draws, bar: bool = False) -> list[str
     figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, fits)}
     remarks = pair_remarks(session, model, count, bar)
     with waiting("diagnostics", bar):
-        return [*fit_sentences(figures), *remarks, *sentences(diagnose(tree_on_demand(draws)))]
+        return [*fit_sentences(figures), *_kernel_warning(draws), *remarks, *sentences(diagnose(tree_on_demand(draws)))]

@@ -2,6 +2,9 @@
 
 Arguments of another form are an error, not a silent second compilation. The form of a model is known before its first pose. So `compiled_ahead`
 compiles in a thread while the pose is fitted, on the core that the fit leaves idle.
+
+Most kernels have many particles, and all devices share those of one run after the other. A kernel with few would wait for the other devices longer
+than it computes. It declares so in the registry (`runs_together`), and the devices share the runs: each computes its runs alone.
 """
 
 import threading
@@ -14,20 +17,61 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.stages import Lowered
 from jaxtyping import Array
 
+from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.batching import DEVICES, everywhere, whole
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
 
-# (key of the run, number of the frame, particles, density) -> particles and information.
+# (key of the run, number of the frame, particles, density) -> particles and information; the first and third for all runs, if devices share the runs.
 type Step = Callable[..., tuple[Particles, FilterInfo]]
+
+
+class Layout(NamedTuple):
+    """How runs lie on the devices.
+
+    Attributes:
+        runs: number of runs.
+        devices: number of devices that share the runs, each with as many as the others; 0 if all devices share the particles of each run.
+    """
+
+    runs: int
+    devices: int
+
+    def place[Tree](self, tree: Tree) -> Tree:
+        """Return what all runs have in common, on every device that is used."""
+        return jax.device_put(tree, NamedSharding(self._mesh, PartitionSpec())) if self.devices else everywhere(tree)
+
+    def stack(self, keys: list[Key], filters: list[Particles]) -> tuple[Key, Particles]:
+        """Return the keys and the particles of all runs, spread over the devices."""
+        spread = NamedSharding(self._mesh, PartitionSpec(DEVICES))
+        stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *filters)
+        return jax.device_put((jax.numpy.stack(keys), stacked), spread)
+
+    def spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of all runs from one of some runs, whose first and third arguments are theirs."""
+        by_run, common = PartitionSpec(DEVICES), PartitionSpec()
+        return jax.shard_map(function, mesh=self._mesh, in_specs=(by_run, common, by_run, common), out_specs=by_run, check_vma=False)
+
+    @property
+    def _mesh(self) -> Mesh:
+        return Mesh(np.array(jax.devices()[: self.devices]), (DEVICES,))
+
+
+def layout_of(kernel: Kernel, runs: int) -> Layout:
+    """Return how the runs of a kernel lie on the devices of this process."""
+    name = getattr(kernel, "kind", "")
+    if name not in names("kernel") or not find("kernel", name).runs_together:
+        return Layout(runs, 0)
+    return Layout(runs, max(devices for devices in range(1, min(runs, len(jax.devices())) + 1) if runs % devices == 0))
 
 
 class Program(NamedTuple):
@@ -44,23 +88,66 @@ _LOCK = threading.Lock()
 type Ahead = Future[Program | None]
 
 
-def form_of(key: Key, particles: Particles, density: Density) -> Any:
+def form_of(layout: Layout, key: Key, particles: Particles, density: Density) -> Any:
     """Return a value that is equal for all arguments that one program accepts."""
     leaves, tree = jax.tree.flatten((key, particles, density))
-    return tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+    return layout if layout.devices else None, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
-def traced(kernel: Kernel, key: Key, particles: Particles, density: Density) -> Lowered:
+def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, density: Density) -> Lowered:
     """Return the step of one frame, traced but not yet compiled."""
 
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return kernel(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
 
-    return jax.jit(frame_of_run, out_shardings=whole()).lower(key, everywhere(np.int32(0)), particles, density)
+    def frame_of_runs(run_keys: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        return jax.lax.map(lambda run: frame_of_run(run[0], frame, run[1], density), (run_keys, particles))
+
+    frame = layout.place(np.int32(0))
+    if not layout.devices:
+        return jax.jit(frame_of_run, out_shardings=whole()).lower(key, frame, particles, density)
+    keys, filters = layout.stack([key] * layout.runs, [particles] * layout.runs)
+    return jax.jit(layout.spread(frame_of_runs)).lower(keys, frame, filters, density)
+
+
+class Dispatched(NamedTuple):
+    """What the devices compute: the outcome of each run, or of all runs by the density that was used."""
+
+    outcomes: list[Any]
+    densities: list[int]
+    layout: Layout
+
+    def fetch(self) -> tuple[list[tuple[Particles, FilterInfo]], list[Particles]]:
+        """Wait for the devices. Return the results of each run on the host, and its particles for the next frame."""
+        fetched = jax.device_get(self.outcomes)
+        if not self.layout.devices:
+            return fetched, [after for after, _ in self.outcomes]
+        runs = [jax.tree.map(lambda leaf, run=run: leaf[run], fetched[density]) for run, density in enumerate(self.densities)]
+        return runs, [after for after, _ in runs]
+
+
+def dispatch(step: Step, layout: Layout, keys: list[Key], frame: Array, filters: list[Particles], densities: list[Density]) -> Dispatched:
+    """Let the devices compute a frame of all runs.
+
+    Args:
+        step: the compiled step.
+        layout: how the runs lie on the devices.
+        keys: the keys of the runs.
+        frame: the number of the frame, on the devices.
+        filters: the particles of the runs.
+        densities: the density of each run. If the devices share the runs, all runs are computed for each different one.
+    """
+    if not layout.devices:
+        outcomes = [step(key, frame, particles, density) for key, particles, density in zip(keys, filters, densities, strict=True)]
+        return Dispatched(outcomes, [], layout)
+    stacked_keys, stacked = layout.stack(keys, filters)
+    different = list({id(density): density for density in densities}.values())
+    places = [next(place for place, other in enumerate(different) if other is density) for density in densities]
+    return Dispatched([step(stacked_keys, frame, stacked, density) for density in different], places, layout)
 
 
 @contextmanager
-def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int) -> Iterator[Ahead]:
+def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: int, runs: int = 1) -> Iterator[Ahead]:
     """Compile the program that will track a session, in a thread. After an error in the `with` block, no further stage of the compilation begins.
 
     Args:
@@ -68,6 +155,7 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
         model: a model with the form of the one that will be tracked; its first pose and lengths may still change.
         kernel: the kernel that will track.
         particles: number of particles per run.
+        runs: number of runs.
     """
     given_up = threading.Event()
     # This setting belongs to the caller's thread.
@@ -75,13 +163,14 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
 
     def work() -> Program | None:
         with jax.enable_x64(x64):
-            key, start = everywhere(jax.random.key(0)), everywhere(model.start(particles))
-            placed = replace(model, transition=everywhere(model.transition), factors=everywhere(model.factors))
-            density = placed.density(everywhere(model.observe(read_frame(session, 0))), start)
-            form = form_of(key, start, density)
+            layout = layout_of(kernel, runs)
+            key, start = layout.place((jax.random.key(0), model.start(particles)))
+            placed = replace(model, transition=layout.place(model.transition), factors=layout.place(model.factors))
+            density = placed.density(layout.place(model.observe(read_frame(session, 0))), start)
+            form = form_of(layout, key, start, density)
             if (known := _known(kernel, form)) is not None:
                 return known
-            lowered = None if given_up.is_set() else traced(kernel, key, start, density)
+            lowered = None if given_up.is_set() else traced(kernel, layout, key, start, density)
             return None if lowered is None or given_up.is_set() else _remembered(kernel, Program(lowered.compile(), form))
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
@@ -95,15 +184,15 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
         pool.shutdown(wait=False)
 
 
-def program_from(ahead: Ahead | None, kernel: Kernel, key: Key, particles: Particles, density: Density) -> Step:
+def program_from(ahead: Ahead | None, kernel: Kernel, layout: Layout, key: Key, particles: Particles, density: Density) -> Step:
     """Return the step that was compiled ahead if it accepts these arguments, else a new one."""
-    form = form_of(key, particles, density)
+    form = form_of(layout, key, particles, density)
     # An error in the thread occurs again below, where it can be reported.
     if ahead is not None and ahead.exception() is None:
         ready = ahead.result()
         if ready is not None and ready.form == form:
             return ready.step
-    program = _known(kernel, form) or _remembered(kernel, Program(traced(kernel, key, particles, density).compile(), form))
+    program = _known(kernel, form) or _remembered(kernel, Program(traced(kernel, layout, key, particles, density).compile(), form))
     return program.step
 
 

@@ -22,14 +22,13 @@ from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Key
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
 from bayes_body.model.plugins.load import check_own_factors
 from bayes_body.model.plugins.terms import check_result
 from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, Timing, timing_of
 from bayes_body.tracking.observations import Observed, observations
-from bayes_body.tracking.program import Ahead, program_from
+from bayes_body.tracking.program import Ahead, dispatch, layout_of, program_from
 from bayes_body.tracking.restarts import Recovery, Restarts
 
 # Chains with a lower mean acceptance do not move; the suggested step is smaller by the factor REDUCTION.
@@ -192,28 +191,27 @@ def _filter(
     recording.
     """
     last = time.perf_counter()
-    run_keys = [everywhere(jax.random.fold_in(key, run)) for run in range(len(filters))]
-    filters = [everywhere(particles) for particles in filters]
-    model = replace(model, **{name: everywhere(getattr(model, name)) for name in ("transition", "after_found", "factors")})
+    layout = layout_of(kernel, len(filters))
+    run_keys = layout.place([jax.random.fold_in(key, run) for run in range(len(filters))])
+    filters = layout.place(filters)
+    model = replace(model, **{name: layout.place(getattr(model, name)) for name in ("transition", "after_found", "factors")})
     step = None
     for frame, (visibility, data, factors) in enumerate(observed, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
-        placed = model if factors is None else replace(model, factors=factors)
-        density, ready = placed.density(data, filters[0]), 0.0
+        placed = model if factors is None else replace(model, factors=layout.place(factors))
+        density, ready = placed.density(layout.place(data), layout.place(filters[0])), 0.0
         if step is None:
             check_own_factors(density, model.initial)
-            step = program_from(ahead, kernel, run_keys[0], filters[0], density)
+            step = program_from(ahead, kernel, layout, run_keys[0], filters[0], density)
             last, ready = time.perf_counter(), time.perf_counter() - last
-        index = everywhere(np.int32(frame))
+        index = layout.place(np.int32(frame))
         is_found = restarted if restarted.size else np.full(len(filters), frame == 0 and model.first.draws is not None)
         after_found = replace(density, transition=model.after_found)
-        run_inputs = zip(run_keys, filters, is_found, strict=True)
-        outcomes = [step(run_key, index, before, after_found if begins else density) for run_key, before, begins in run_inputs]
-        filters = [after for after, _ in outcomes]
+        dispatched = dispatch(step, layout, run_keys, index, filters, [after_found if begins else density for begins in is_found])
         # The host stores a frame while the device works on the next one.
         if computed:
             yield computed.pop()
-        runs = jax.device_get(outcomes)
+        runs, filters = dispatched.fetch()
         for particles, info in runs:
             raise_if_all_rejected(info, number + frame)
             check_result(kernel, particles, number + frame)

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from bayes_body.base.registry import register
+from bayes_body.base.registry import FewCameras, register
 from bayes_body.base.shapes import Flag, Key, Scalar
 from bayes_body.base.toml.read import validate
 from bayes_body.base.toml.schema import Count, Schema
@@ -54,7 +54,7 @@ class Options(Schema):
     If that does not help, `fallback` does it.
     """
 
-    particles: Count = 256
+    particles: Count = 512
     """[particles] per run."""
     starts: Count = 1
     """starting points of the search for modes in every frame: the mean of the prediction, and draws of it."""
@@ -230,7 +230,12 @@ def _log_allowed(key: Key, view: GaussianView, count: int) -> Scalar:
     return normalise(over_particles(log_allowed, drawn, view)).log_sum - jnp.log(count)
 
 
-@register("kernel", "laplace", Options, samples_posterior=True, instead="use --kernel tempered")
+# With one camera.
+BLIND = "a limb may be bent towards the camera or away from it, and the weights of laplace see one of the two"
+ONE_CAMERA = FewCameras(2, "tempered", {**TEMPERED, "particles": 1000}, BLIND)
+
+
+@register("kernel", "laplace", Options, samples_posterior=True, instead="use --kernel tempered", runs_together=True, few_cameras=ONE_CAMERA)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(**options.model_dump(exclude={"particles"}))

@@ -57,8 +57,8 @@ class _Figures(NamedTuple):
     disagreement: float
 
 
-def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> _Figures:
-    info, fit = frame.info, result_fit(session, model, frame, index)
+def _figures(session: Session, model: Model, frame: FrameResult, index: int, to_judge: bool) -> _Figures:
+    info, fit = frame.info, result_fit(session, model, frame, index, to_judge)
     evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.
@@ -68,18 +68,19 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int) -> 
     )
 
 
-def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched) -> dict[str, Any]:
+def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched, pictures: bool = True) -> dict[str, Any]:
     """Return the stable keys of `summary.json`; a figure that does not exist is null. Frames are numbers in the recording.
 
     Seconds are wall-clock time of all runs together; `seconds_per_frame` and `evaluations_per_second` exclude the compilation. An evaluation is the
-    likelihood of a whole pose over all cameras.
+    likelihood of a whole pose over all cameras. Without `pictures`, a model that reads only keypoints is not compared with silhouettes.
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
-    by_frame = [_figures(session, draws.model, draws.frames[index], index) for index in watch(range(frames))]
+    to_judge = not pictures and not draws.model.reads_pictures
+    by_frame = [_figures(session, draws.model, draws.frames[index], index, to_judge) for index in watch(range(frames))]
     mode_seeker = not draws.samples_posterior
     ess, fits = np.array([frame_figures.ess for frame_figures in by_frame]), [frame_figures.fit for frame_figures in by_frame]
     overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
-    first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0)
+    first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0, to_judge=to_judge)
     figures = {
         "frames": frames,
         "first_frame": draws.first_frame,
