@@ -6,6 +6,7 @@ A built-in term is imported when it is first looked up, so that listing names co
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel
@@ -56,6 +57,7 @@ class Term(NamedTuple):
         instead: of a kernel: what a user may do instead where few of its particles carry the weight, such as `use --kernel tempered`.
         runs_together: of a kernel: whether the devices share the runs. Otherwise they share the particles of each run.
         few_cameras: of a kernel: what is taken instead with few cameras; None if it serves any number.
+        smoothed_by: of a kernel: options of the smoother for its runs that differ from the smoother's defaults.
     """
 
     options: type[BaseModel]
@@ -68,6 +70,7 @@ class Term(NamedTuple):
     instead: str = ""
     runs_together: bool = False
     few_cameras: FewCameras | None = None
+    smoothed_by: Mapping[str, Any] = MappingProxyType({})
 
     def evidence(self, options: BaseModel) -> tuple[str, ...]:
         """Return what a likelihood with these options compares the body with."""
@@ -121,6 +124,7 @@ def register(
     instead: str = "",
     runs_together: bool = False,
     few_cameras: FewCameras | None = None,
+    smoothed_by: Mapping[str, Any] = MappingProxyType({}),
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a build function under a name in a room. Use it as a decorator.
 
@@ -140,6 +144,7 @@ def register(
         instead: for a kernel, what a user may do instead where few particles carry the weight.
         runs_together: for a kernel of few particles, whether the devices share the runs and not the particles of each run.
         few_cameras: for a kernel, what is taken instead by default if a recording has too few cameras for it.
+        smoothed_by: for a kernel, options of the smoother for its runs that differ from the smoother's defaults.
 
     Raises:
         InputError: there is no such room or observation, the name is taken, or the options are not a schema.
@@ -147,7 +152,7 @@ def register(
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
         _check(room, name, options, build)
-        term = Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead, runs_together, few_cameras)
+        term = Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead, runs_together, few_cameras, smoothed_by)
         terms: dict[Place, Term] = {(room, name): term}
         if observation is not None:
             terms["observation", name] = find("observation", observation)

@@ -14,9 +14,14 @@ def smooth(
     run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
     out: Path | None = typer.Option(None, "--out", help="Folder for the smoothed run; by default RUN_smoothed, or the next free RUN_smoothed_2 ..."),
     draws: int | None = typer.Option(None, "--draws", help="Paths of each run of the filter, 250 by default."),
-    moves: int | None = typer.Option(None, "--moves", help="Markov moves of each state, 1 by default; with 0 no images are read."),
+    moves: int | None = typer.Option(
+        None, "--moves", help="Markov moves of each state, 1 by default, 0 for runs of the kernel laplace; with 0 no images are read."
+    ),
     start: str | None = typer.Option(
-        None, "--start", help="How paths go back before they move: `ensemble` (the default), or `particles`, which is exact for small models only."
+        None,
+        "--start",
+        help="How paths go back before they move: `ensemble` (the default), `gaussian` (the default for runs of the kernel laplace), or `particles`, "
+        "which is exact for small models only.",
     ),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(False, "--resume", help="Continue the smoothed run in --out."),
@@ -36,8 +41,8 @@ def smooth(
     check_range("--draws", draws, 1)
     check_range("--moves", moves, 0)
     check_range("--seed", seed, 0, LARGEST_SEED)
-    if start not in (None, "ensemble", "particles"):
-        raise input_error("--start", f"'{start}'", "ensemble or particles", "give one of them")
+    if start not in (None, "ensemble", "gaussian", "particles"):
+        raise input_error("--start", f"'{start}'", "ensemble, gaussian or particles", "give one of them")
     if resume and out is None:
         raise input_error("--resume", "no --out", "the folder of the smoothed run to continue", "name it with --out")
     resolved = run.resolve()

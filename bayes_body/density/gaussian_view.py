@@ -21,6 +21,7 @@ the Gaussian view, particles have no ancestors. The prediction loses its non-Gau
 import itertools
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -33,7 +34,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Index, Key, Keys, Scalar
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
-from bayes_body.density.factor import State, nothing_carried, nothing_derived
+from bayes_body.density.factor import State, Transition, nothing_carried, nothing_derived
 from bayes_body.density.tempering import LogTerms, tempered
 
 # Added to the variances of the prediction, relative and absolute, so that the covariance has a root in float32.
@@ -160,7 +161,10 @@ def gaussian_view(key: Key, density: Density, needed_by: str = NEEDED_BY, remedy
     """
     _check(density, needed_by, remedy)
     coordinates = density.coordinates()
-    mean, covariance = _moments_of_nodes(density, coordinates) if _has_quantiles(density) else _moments_of_draws(key, density, coordinates)
+    if has_quantiles(density.transition, density.ancestor(0)):
+        mean, covariance = _moments_of_nodes(density, coordinates)
+    else:
+        mean, covariance = _moments_of_draws(key, density, coordinates)
     like = coordinates.unconstrain(density.ancestor(0))
     unread = {name: like[name] for name in _unread(density, sorted(like))}
     is_unread = np.concatenate([np.full(like[name].shape[0], name in unread) for name in sorted(like)])
@@ -191,18 +195,20 @@ def _moments_of_draws(key: Key, density: Density, coordinates: Chart) -> _Moment
 
 def _moments_of_nodes(density: Density, coordinates: Chart) -> _Moments:
     """Return the mean and the covariance of the prediction by quadrature."""
-    weights, node_weights = jax.nn.softmax(density.previous.log_weights), jnp.array(NODE_WEIGHTS, density.previous.log_weights.dtype)
-
-    def after(before: State) -> tuple[Float[Array, " dof"], Float[Array, " dof"]]:
-        distributions = density.transition.conditional(before)
-        states = [{name: _quantile(distribution, node) for name, distribution in distributions.items()} for node in NODES]
-        nodes = jnp.stack([joined(coordinates.unconstrain(state)) for state in states])
-        mean = node_weights @ nodes
-        return mean, node_weights @ (nodes - mean) ** 2
-
-    means, variances = jax.vmap(after)(dict(density.previous.states))
+    weights = jax.nn.softmax(density.previous.log_weights)
+    means, variances = jax.vmap(partial(moments_after, density.transition, coordinates))(dict(density.previous.states))
     mean, between = _fitted_moments(weights, means[:, None])
     return mean, between + (1 + FLOOR[0]) * jnp.diag(weights @ variances)
+
+
+def moments_after(transition: Transition, coordinates: Chart, before: State) -> tuple[Float[Array, " dof"], Float[Array, " dof"]]:
+    """Return the mean and the variance of each coordinate of the state after a state, by quadrature; the prior must have quantiles."""
+    distributions = transition.conditional(before)
+    states = [{name: _quantile(distribution, node) for name, distribution in distributions.items()} for node in NODES]
+    nodes = jnp.stack([joined(coordinates.unconstrain(state)) for state in states])
+    weights = jnp.array(NODE_WEIGHTS, nodes.dtype)
+    mean = weights @ nodes
+    return mean, weights @ (nodes - mean) ** 2
 
 
 def _quantile(distribution: Distribution, node: float) -> Array:
@@ -211,12 +217,12 @@ def _quantile(distribution: Distribution, node: float) -> Array:
     return base.icdf(jnp.full(distribution.event_shape, 0.5 * math.erfc(-node / math.sqrt(2.0)), jnp.result_type(float)))
 
 
-def _has_quantiles(density: Density) -> bool:
-    """Return whether the motion prior has quantiles of independent entries, in coordinates of one entry each."""
-    if density.transition.chart is not None:
+def has_quantiles(transition: Transition, state: State) -> bool:
+    """Return whether a motion prior has quantiles of independent entries, in coordinates of one entry each. Of the state only the form matters."""
+    if transition.chart is not None:
         return False
     try:
-        jax.eval_shape(lambda state: {n: _quantile(d, 0.0) for n, d in density.transition.conditional(state).items()}, density.ancestor(0))
+        jax.eval_shape(lambda state: {name: _quantile(d, 0.0) for name, d in transition.conditional(state).items()}, dict(state))
     except (NotImplementedError, ImportError):
         # numpyro takes the quantiles of some distributions from a package that need not be installed.
         return False

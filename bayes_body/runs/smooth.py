@@ -13,7 +13,7 @@ import jax
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.lock import locked
 from bayes_body.initial import Show
-from bayes_body.kernels.paths.smoother import Options, Smoother
+from bayes_body.kernels.paths.smoother import Options, Smoother, options_for
 from bayes_body.results.posterior.diagnostics import frame_ranges
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.names import FRAMES_FOLDER, RUN_FILE
@@ -74,8 +74,8 @@ def smooth_run(settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any
 def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -> dict[str, Any]:
     before = _continued(settings)
     smoothing = (before or {}).get("smoothing", {})
-    option_values = {name: settings.options.get(name, smoothing.get(name, field.default)) for name, field in Options.model_fields.items()}
-    options = Options.model_validate(option_values)
+    stored = {name: smoothing[name] for name in Options.model_fields if name in smoothing}
+    options = Options.model_validate(options_for(str(source.kernel["kind"]), {**stored, **settings.options}))
     seed = smoothing.get("seed", 0) if settings.seed is None else settings.seed
     model, session = source.model, source.session
     if (options.moves or model.reads_before) and source.changed_inputs:

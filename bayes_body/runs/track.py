@@ -15,7 +15,7 @@ from bayes_body.base.progress import waiting, watched
 from bayes_body.base.registry import names
 from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
-from bayes_body.kernels.paths.smoother import build_smoother
+from bayes_body.kernels.paths.smoother import build_smoother, options_for
 from bayes_body.model.build import Model
 from bayes_body.model.kernel_options import kernel_sentences
 from bayes_body.recording.session.session import Session
@@ -95,7 +95,8 @@ def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[Smoo
         session: the recording that was tracked.
         filtered: what `track` returned for it.
         on_frame: called after each frame, the last one first; by default a terminal shows a progress bar.
-        options: those of `kernels.paths.smoother.Options`: draws, start, moves, leapfrog_steps, candidates.
+        options: those of `kernels.paths.smoother.Options`: draws, start, moves, leapfrog_steps, candidates. Runs of the kernel `laplace` have
+            `start="gaussian"` and `moves=0` by default.
 
     Returns:
         one path a draw, of equal weight, with its frames in the order of time.
@@ -106,7 +107,7 @@ def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[Smoo
     if not filtered.samples_posterior:
         raise input_error("smooth: the draws", "their kernel seeks modes", "a sample of the posterior", "track with another kernel, such as tempered")
     with smoothing_bar() if sys.stderr.isatty() and on_frame is None else nullcontext(on_frame) as show:
-        paths = smoothing.smooth(session, filtered.model, build_smoother(**options), filtered.frames, key, [], show)
+        paths = smoothing.smooth(session, filtered.model, build_smoother(**options_for(filtered.kernel, options)), filtered.frames, key, [], show)
     return replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
 
 

@@ -15,10 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.ahead import Ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.gaussian_view import has_quantiles
 from bayes_body.kernels.paths.ensemble import LinearPrediction
 from bayes_body.kernels.paths.smoother import OnParticles, Smoother
 from bayes_body.tracking.backward_steps import BackwardSteps
@@ -101,6 +103,8 @@ class Backward:
             stored: frame number -> a frame that was yielded before.
             first: the lowest number of a stored frame, from which to continue; None to begin at the last frame.
         """
+        if self.smoother.options.start == "gaussian":
+            self._check_gaussian()
         laid = self._final(self._lay(key, count))
         if not self.smoother.options.moves or self.memory is None:
             return (path_frame for path_frame in laid if first is None or path_frame.frame < first)
@@ -117,6 +121,12 @@ class Backward:
             yield from reversed(whole if current.begins else whole[self.delay :])
             later = [] if current.begins else later[: self.delay]
 
+    def _check_gaussian(self) -> None:
+        first = self.filtered(0).particles
+        if self.memory != 1 or not has_quantiles(self.steps.transition, jax.tree.map(lambda leaf: leaf[0], first.states)):
+            problem = f"the dynamics '{self.steps.transition.name}' depend on more than one frame, or have no quantiles"
+            raise input_error("start: gaussian", problem, "dynamics of independent dofs that depend on the frame before", "give --start ensemble")
+
     # -- the first walk ---------------------------------------------------------------------------------------------------------------------
 
     def _lay(self, key: Key, count: int) -> Iterator[PathFrame]:
@@ -129,6 +139,10 @@ class Backward:
         """Return the paths at a frame, given their later frames."""
         begin_key, step_key = jax.random.split(key)
         particles, prediction = filtered.particles, None
+        if self.smoother.options.start == "gaussian":
+            nexts = None if after is None or after.begins else after.states
+            states = self.steps.last_states(begin_key, particles) if nexts is None else self.steps.states_before(step_key, particles, nexts)
+            return _Laid(frame, states, self.steps.no_ancestors, self.steps.none_ahead(self.steps.sampled(states)), None, filtered.begins)
         if after is None or after.begins:
             index = self.steps.begin(begin_key, particles)
             states, ahead = self.steps.at(particles, index), None

@@ -16,7 +16,9 @@ from bayes_body.density.ahead import Ahead, nothing_ahead, sampled_of
 from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
+from bayes_body.density.kernel import NO_ANCESTOR
 from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.paths import rts
 from bayes_body.kernels.paths.ensemble import LinearPrediction, linear_prediction, regressed, replaced
 from bayes_body.kernels.paths.smoother import Moved, Moves, Smoother, adapted, whitening_of
 from bayes_body.tracking.draws import FrameResult, Frames
@@ -102,6 +104,32 @@ class BackwardSteps:
         def back(key: Key, particles: Particles, index: Int[Array, " path"], nexts: Ahead, prediction: LinearPrediction) -> State:
             chart = _coordinates(self.transition, particles)
             return replaced(particles, index, regressed(key, particles, index, nexts, self.transition, chart, prediction), self.transition)
+
+        return _compiled(back)
+
+    @cached_property
+    def no_ancestors(self) -> Int[Array, " path"]:
+        """Return the ancestors of states that are no particles."""
+        return everywhere(jnp.full((self.smoother.options.draws,), NO_ANCESTOR, jnp.int32))
+
+    @cached_property
+    def last_states(self) -> Callable[[Key, Particles], State]:
+        """Return states with the moments of the particles of a frame, with which Gaussian paths begin."""
+
+        def last(key: Key, particles: Particles) -> State:
+            chart, paths = _coordinates(self.transition, particles), self.smoother.options.draws
+            return jax.vmap(self.transition.with_derived)(rts.last_states(key, particles, paths, self.transition, chart))
+
+        return _compiled(last)
+
+    @cached_property
+    def states_before(self) -> Callable[[Key, Particles, State], State]:
+        """Return states of the frame before by the moments of its particles."""
+
+        def back(key: Key, particles: Particles, after: State) -> State:
+            nexts = jax.vmap(lambda state: sampled_of(self.transition, state))(after)
+            chart = _coordinates(self.transition, particles)
+            return jax.vmap(self.transition.with_derived)(rts.states_before(key, particles, nexts, self.transition, chart))
 
         return _compiled(back)
 

@@ -126,7 +126,7 @@ class Dispatched(NamedTuple):
         return runs, [after for after, _ in runs]
 
 
-def dispatch(step: Step, layout: Layout, keys: list[Key], frame: Array, filters: list[Particles], densities: list[Density]) -> Dispatched:
+def dispatch(step: Step, layout: Layout, keys: list[Key], frame: Any, filters: list[Particles], densities: list[Density]) -> Dispatched:
     """Let the devices compute a frame of all runs.
 
     Args:

@@ -80,7 +80,7 @@ def test_a_built_in_name_is_taken_even_before_it_was_imported():
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("aneealed", "did you mean 'annealed'?"), ("gibbs", "known: annealed, hmc, particle_bp, sir, tempered.")],
+    [("aneealed", "did you mean 'annealed'?"), ("gibbs", "known: annealed, hmc, laplace, particle_bp, sir, tempered.")],
     ids=["nearly", "not at all"],
 )
 def test_a_wrong_name_says_the_nearest_or_all(name, said):

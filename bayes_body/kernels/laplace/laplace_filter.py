@@ -235,7 +235,20 @@ BLIND = "a limb may be bent towards the camera or away from it, and the weights 
 ONE_CAMERA = FewCameras(2, "tempered", {**TEMPERED, "particles": 1000}, BLIND)
 
 
-@register("kernel", "laplace", Options, samples_posterior=True, instead="use --kernel tempered", runs_together=True, few_cameras=ONE_CAMERA)
+# Its moments have little noise, so paths need no more than these.
+SMOOTHED = {"start": "gaussian", "moves": 0}
+
+
+@register(
+    "kernel",
+    "laplace",
+    Options,
+    samples_posterior=True,
+    instead="use --kernel tempered",
+    runs_together=True,
+    few_cameras=ONE_CAMERA,
+    smoothed_by=SMOOTHED,
+)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(**options.model_dump(exclude={"particles"}))

@@ -70,12 +70,17 @@ class LinearPrediction(NamedTuple):
         return _inverse(self.spread) + precision + self.slope.T @ precision @ self.slope
 
 
-class _Flat(NamedTuple):
+class Flat(NamedTuple):
     """The maps from sampled variables to vectors of coordinates and back. A freely turning dof is unwound to near the particles' mean."""
 
     unwound: Callable[[State], State]
     vector: Callable[[State], Array]
     sampled: Callable[[Array], dict[str, Array]]
+    transition: Transition
+
+    def vector_of_state(self, state: State) -> Array:
+        """Return the coordinates of a whole state."""
+        return self.vector(sampled_of(self.transition, self.unwound(state)))
 
 
 def regressed(
@@ -92,10 +97,10 @@ def regressed(
         chart: the unconstrained coordinates.
         prediction: the regression (`linear_prediction`).
     """
-    flat, frames = _flat(particles, transition, chart), len(prediction.slope) // len(prediction.spread)
+    flat, frames = flat_coordinates(particles, transition, chart), len(prediction.slope) // len(prediction.spread)
     chosen = jax.tree.map(lambda leaf: leaf[indices], dict(particles.states))
     unwound = jax.vmap(flat.unwound)(chosen)
-    u = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(unwound)
+    u = jax.vmap(flat.vector_of_state)(chosen)
     v = jax.vmap(lambda key, state: _predicted(key, state, transition, chart, frames))(jax.random.split(key, len(indices)), unwound)
     ahead = jax.vmap(jax.vmap(flat.vector))(nexts.sampled).reshape(v.shape)
     return jax.vmap(flat.sampled)(u + (ahead - v) @ prediction.of_known(nexts.known[0]).gain().T)
@@ -108,7 +113,7 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     comes from predictions with the same noise for all particles, which leaves the noise out of B. The correlations of C and S are shrunk, less if
     there are more particles.
     """
-    flat, weights, count = _flat(particles, transition, chart), jax.nn.softmax(particles.log_weights), particles.log_weights.shape[0]
+    flat, weights, count = flat_coordinates(particles, transition, chart), jax.nn.softmax(particles.log_weights), particles.log_weights.shape[0]
     repeats = -(-PREDICTIONS // count)
     unwound = jax.vmap(flat.unwound)(dict(particles.states))
 
@@ -140,7 +145,8 @@ def linear_prediction(key: Key, particles: Particles, transition: Transition, ch
     return LinearPrediction(spread, slope, shrunk(weighted.T @ noise.reshape(count * repeats, -1) / repeats, share))
 
 
-def _flat(particles: Particles, transition: Transition, chart: Chart) -> _Flat:
+def flat_coordinates(particles: Particles, transition: Transition, chart: Chart) -> Flat:
+    """Return the maps between states and coordinates near a frame's particles."""
     first = jax.tree.map(lambda leaf: leaf[0], dict(particles.states))
     _, unravel = ravel_pytree(chart.unconstrain(first))
     weights, drawn = jax.nn.softmax(particles.log_weights), jax.vmap(lambda state: sampled_of(transition, state))(particles.states)
@@ -149,10 +155,11 @@ def _flat(particles: Particles, transition: Transition, chart: Chart) -> _Flat:
     def near(sampled: State) -> State:
         return transition.near(sampled, centre)
 
-    return _Flat(
+    return Flat(
         lambda state: {**state, **near(sampled_of(transition, state))},
         lambda sampled: ravel_pytree(chart.unconstrain(near(sampled)))[0],
         lambda row: chart.constrain(unravel(row)),
+        transition,
     )
 
 

@@ -1,6 +1,6 @@
 r"""Backward simulation: paths from the joint posterior $p(x_{0:T} \mid z_{0:T})$ of all frames, from a filter's particles.
 
-A path begins at its last frame and goes back in time. There are two ways to take a step.
+A path begins at its last frame and goes back in time. There are three ways to take a step.
 
 `start = "particles"` (Godsill, Doucet & West 2004). The state at $t - 1$ is one of the filter's particles,
 
@@ -15,6 +15,9 @@ past.
 `start = "ensemble"` (kernels/paths/ensemble.py) moves a particle by linear regression on the next frames. Paths do not share their past. Their law is
 exact only if everything is normal.
 
+`start = "gaussian"` (kernels/paths/rts.py) takes the moments of the particles alone. It is the default for runs of the kernel `laplace`, without
+moves.
+
 Then each state *moves* given its neighbours on the path: HMC with the target
 
 $$p(x_t \mid s_{t-1})\, L(z_t; x_t)\, C \prod_{k=1}^{m} p(x_{t+k} \mid s_{t+k-1}),$$
@@ -22,7 +25,8 @@ $$p(x_t \mid s_{t-1})\, L(z_t; x_t)\, C \prod_{k=1}^{m} p(x_{t+k} \mid s_{t+k-1}
 which leaves the posterior of the whole path invariant, wherever the path came from.
 """
 
-from typing import Annotated, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +35,7 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field
 
 from bayes_body.base.inverse_cdf import inverse_cdf
+from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Index, Key, Scalar
 from bayes_body.base.toml.read import validate
 from bayes_body.base.toml.schema import Count, Schema
@@ -47,16 +52,25 @@ from bayes_body.kernels.weights import LogWeights
 class Options(Schema):
     """Options of the smoother.
 
-    `draws` is the number of paths of a run. `start` says how a path goes back: over the filter's `particles`, or over an `ensemble`. A state moves
-    `moves` times by trajectories of `leapfrog_steps`; with no moves, no images are read. `candidates` is the number of particles that compete if the
-    transition's memory is longer than a frame.
+    `draws` is the number of paths of a run. `start` says how a path goes back: over the filter's `particles`, over an `ensemble`, or by the moments
+    of the particles, as if they were `gaussian`. A state moves `moves` times by trajectories of `leapfrog_steps`; with no moves, no images are read.
+    `candidates` is the number of particles that compete if the transition's memory is longer than a frame.
     """
 
     draws: Count = 250
-    start: Literal["ensemble", "particles"] = "ensemble"
+    start: Literal["ensemble", "particles", "gaussian"] = "ensemble"
     moves: Annotated[int, Field(strict=True, ge=0)] = 1
     leapfrog_steps: Count = 3
     candidates: Annotated[int, Field(strict=True, ge=2)] = 32
+
+
+def options_for(kernel: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options of the smoother for the run of a kernel: those that are given, and those of the kernel where they go together.
+
+    The kernel's are taken only if neither `start` nor `moves` is given.
+    """
+    of_kernel = find("kernel", kernel).smoothed_by if kernel in names("kernel") else {}
+    return {**({} if {"start", "moves"} & set(given) else of_kernel), **given}
 
 
 class OnParticles(NamedTuple):

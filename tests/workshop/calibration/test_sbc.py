@@ -11,8 +11,9 @@ from workshop.calibration import toys
 from bayes_body import kernels
 from bayes_body.density.coordinates import Coordinates
 from bayes_body.kernels.smc import tempered_smc
+from bayes_body.model.build import build_model
 from bayes_body.workshop.calibration import bands, looks, sbc
-from bayes_body.workshop.calibration.problem import point_mass
+from bayes_body.workshop.calibration.problem import point_mass, problem_of
 from bayes_body.workshop.calibration.verdict import coverage
 
 REPLICATIONS, BINS, SEED = 200, 20, 100
@@ -109,6 +110,15 @@ def tempered(optimised):
 def tempered_slowly(optimised):
     """In many stages with many moves: what the moves do."""
     return tempered_runs(final_stages=0, target_ess=0.8, moves=4)
+
+
+@pytest.mark.slow
+def test_laplace_is_calibrated(keypoint_session, optimised):
+    """On an arm whose markers four cameras see."""
+    problem = problem_of(build_model("arm_markers", keypoint_session))
+    found = ranks(sbc.replicate(problem, kernels.laplace(fallback="none"), 256, bins=BINS))
+    assert least_p(found) > LIMIT
+    assert np.quantile(found.ess.min(axis=1), 0.05) > 0.9 * sbc.DRAWS_A_BIN * BINS
 
 
 @pytest.mark.slow
