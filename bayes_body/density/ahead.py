@@ -25,16 +25,16 @@ class Ahead(NamedTuple):
 
     Attributes:
         sampled: their sampled variables, (frame, ...); where there is no such frame, any value inside the support.
-        known: whether there is such a frame.
+        exists: whether there is such a frame.
     """
 
     sampled: State
-    known: Bool[Array, " frame"]
+    exists: Bool[Array, " frame"]
 
-    def pushed(self, sampled: State, known: bool = True) -> "Ahead":
+    def pushed(self, sampled: State, exists: bool = True) -> "Ahead":
         """Return the frames ahead of the previous frame: this frame's variables come first, and the last frame is dropped."""
-        frames = {name: jnp.concatenate([sampled[name][None], later[:-1]]) for name, later in self.sampled.items()}
-        return Ahead(frames, jnp.concatenate([jnp.full((1,), known), self.known[:-1]]))
+        frames = {name: jnp.concatenate([sampled[name][None], values[:-1]]) for name, values in self.sampled.items()}
+        return Ahead(frames, jnp.concatenate([jnp.full((1,), exists), self.exists[:-1]]))
 
 
 def nothing_ahead(sampled: State, memory: int) -> Ahead:
@@ -43,36 +43,38 @@ def nothing_ahead(sampled: State, memory: int) -> Ahead:
     return Ahead(filled, jnp.zeros((memory,), bool))
 
 
-def log_ahead(transition: Transition, state: State, ahead: Ahead, after: Density | None = None) -> Scalar:
+def log_ahead(transition: Transition, state: State, next_frames: Ahead, next_density: Density | None = None) -> Scalar:
     """Return the log-density of the frames ahead given a whole state.
 
     Args:
         transition: the motion prior.
         state: the whole state of the frame, including what it carries.
-        ahead: the frames that follow, at least as many as the transition's memory.
-        after: the density of the next frame, if a factor reads the previous frame.
+        next_frames: the frames that follow, at least as many as the transition's memory.
+        next_density: the density of the next frame, if a factor reads the previous frame.
     """
-    return _log_path(transition, [dict(state)], ahead, ahead.known, after)
+    return _log_path(transition, [dict(state)], next_frames, next_frames.exists, next_density)
 
 
-def log_between(transition: Transition, before: State, state: State, ahead: Ahead, after: Density | None = None) -> Scalar:
+def log_between(transition: Transition, previous_state: State, state: State, next_frames: Ahead, next_density: Density | None = None) -> Scalar:
     """Return the log-density of a whole state and of the frames ahead, given the state of the previous frame. Arguments are those of `log_ahead`."""
-    return _log_path(transition, [dict(before), dict(state)], ahead, jnp.concatenate([jnp.ones((1,), bool), ahead.known]), after)
+    return _log_path(
+        transition, [dict(previous_state), dict(state)], next_frames, jnp.concatenate([jnp.ones((1,), bool), next_frames.exists]), next_density
+    )
 
 
-def _log_path(transition: Transition, path: list[State], ahead: Ahead, known: Bool[Array, " frame"], after: Density | None) -> Scalar:
+def _log_path(transition: Transition, path: list[State], next_frames: Ahead, exists: Bool[Array, " frame"], next_density: Density | None) -> Scalar:
     """Return the log-density of states and of the frames ahead, given the first state."""
     first = len(path) - 1
-    for k in range(ahead.known.shape[0]):
-        path.append(transition.state(path[-1], {name: later[k] for name, later in ahead.sampled.items()}))
+    for k in range(next_frames.exists.shape[0]):
+        path.append(transition.state(path[-1], {name: values[k] for name, values in next_frames.sampled.items()}))
     if len(path) == 1:
         return jnp.zeros(())
-    befores, states = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(dict, some)) for some in (path[:-1], path[1:]))
+    befores, states = (jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(dict, part)) for part in (path[:-1], path[1:]))
     # All frames at once, so that the program holds the motion prior once.
     terms = jax.vmap(transition.log_density)(states, befores)
-    if after is not None:
-        terms = terms.at[first].add(after.links(path[first + 1], path[first]))
-    return jnp.sum(jnp.where(known, terms, 0.0))
+    if next_density is not None:
+        terms = terms.at[first].add(next_density.links(path[first + 1], path[first]))
+    return jnp.sum(jnp.where(exists, terms, 0.0))
 
 
 def sampled_of(transition: Transition, state: State) -> dict[str, Array]:

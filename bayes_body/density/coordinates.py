@@ -41,6 +41,6 @@ def coordinates_of(distributions: Mapping[str, Distribution]) -> Coordinates:
     return Coordinates({name: biject_to(distribution.support) for name, distribution in distributions.items()})
 
 
-def coordinates_after(transition: Transition, before: State) -> Chart:
+def coordinates_after(transition: Transition, previous_state: State) -> Chart:
     """Return the unconstrained coordinates of the states after a state."""
-    return coordinates_of(transition.conditional(before)) if transition.chart is None else transition.chart(before)
+    return coordinates_of(transition.conditional(previous_state)) if transition.chart is None else transition.chart(previous_state)

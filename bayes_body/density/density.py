@@ -155,10 +155,10 @@ class Density:
 
     def parts(self, state: State, previous: State | None = None) -> dict[str, Scalar]:
         """Return the log-potential of each factor and of the transition, by name. `previous` defaults to the first particle of the previous frame."""
-        before = self.ancestor(0) if previous is None else previous
-        values = variables(state, before)
+        previous_state = self.ancestor(0) if previous is None else previous
+        values = variables(state, previous_state)
         terms = {factor.name: factor(values, self.data) for factor in self.factors}
-        return {"transition": self.transition.log_density(state, before)} | terms
+        return {"transition": self.transition.log_density(state, previous_state)} | terms
 
     def _sum(self, factors: list[Factor] | tuple[Factor, ...], state: State, previous: State) -> Scalar:
         values = variables(state, previous)
@@ -194,11 +194,11 @@ class Density:
         links = sum((_log_prob_each(distribution, state[name]) for name, distribution in distributions.items()), self.previous.log_weights)
         if not linking:
             return links
-        return links + jax.vmap(lambda before: self._tempered_sum(linking, state, before, inverse_temperature))(self.previous.states)
+        return links + jax.vmap(lambda previous_state: self._tempered_sum(linking, state, previous_state, inverse_temperature))(self.previous.states)
 
-    def _tempered_sum(self, factors: Sequence[Factor], state: State, before: State, inverse_temperature: float | Scalar) -> Scalar:
-        likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, before)
-        prior = self._sum([f for f in factors if f.side != "likelihood"], state, before)
+    def _tempered_sum(self, factors: Sequence[Factor], state: State, previous_state: State, inverse_temperature: float | Scalar) -> Scalar:
+        likelihood = self._sum([f for f in factors if f.side == "likelihood"], state, previous_state)
+        prior = self._sum([f for f in factors if f.side != "likelihood"], state, previous_state)
         return prior + tempered(inverse_temperature, likelihood)
 
     def coordinates(self) -> Chart:

@@ -82,8 +82,8 @@ class Extended(NamedTuple):
             return ancestor
         draw_key, choose_key = jax.random.split(key)
         levels = jax.random.uniform(draw_key, (candidates - 1,), self.cumulative_weights.dtype)
-        others = inverse_cdf(self.cumulative_weights, levels)
-        competing = jnp.concatenate([ancestor[None], others.astype(ancestor.dtype)])
+        rivals = inverse_cdf(self.cumulative_weights, levels)
+        competing = jnp.concatenate([ancestor[None], rivals.astype(ancestor.dtype)])
         log_probs = jax.vmap(lambda candidate: self._given_ancestor(candidate, position, inverse_temperature, potential_power))(competing)
         # NaN marks an ancestor from which the state cannot come.
         return competing[jax.random.categorical(choose_key, jnp.where(jnp.isnan(log_probs), -jnp.inf, log_probs))]

@@ -106,10 +106,10 @@ def nothing_derived(sampled: State) -> State:
     return {}
 
 
-def nothing_carried(previous: State, known: State) -> State:
-    """Return the known variables: the default `carry`, for a prior without memory."""
+def nothing_carried(previous: State, sampled: State) -> State:
+    """Return these variables unchanged: the default `carry`, for a prior without memory."""
     del previous
-    return known
+    return sampled
 
 
 def nothing_before(first: State) -> State:

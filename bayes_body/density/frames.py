@@ -19,7 +19,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition
 
 # The part of one frame: its factors if they differ between frames, and its data.
-type Own = tuple[tuple[Factor, ...] | None, Data]
+type Inputs = tuple[tuple[Factor, ...] | None, Data]
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["moving"], data_fields=["transition", "factors", "data"])
@@ -40,16 +40,16 @@ class Frames:
     moving: bool
 
     @property
-    def own(self) -> Own:
+    def inputs(self) -> Inputs:
         """The parts of all frames, with a leading frame axis, for a `scan` or a `vmap`."""
         return (self.factors if self.moving else None), self.data
 
-    def density(self, inputs: Own, previous: Particles) -> Density:
-        """Return the density of one frame, given its part of `own` and the particles of the previous frame."""
+    def density(self, inputs: Inputs, previous: Particles) -> Density:
+        """Return the density of one frame, given its part of `inputs` and the particles of the previous frame."""
         factors, data = inputs
         return Density(self.transition, self.factors if factors is None else factors, data, previous)
 
-    def alone(self, inputs: Own, state: State) -> Scalar:
+    def log_single_frame(self, inputs: Inputs, state: State) -> Scalar:
         """Return the sum of those factors of one frame that do not read the previous frame."""
         factors, data = inputs
         reading = tuple(factor for factor in (self.factors if factors is None else factors) if not factor.reads_previous)

@@ -61,7 +61,7 @@ class Unread(NamedTuple):
     root: Float[Array, "unread unread"]
     like: State
 
-    def given(self, noise: Float[Array, " dof"], own_noise: Float[Array, " unread"] | None = None) -> dict[str, Array]:
+    def position(self, noise: Float[Array, " dof"], own_noise: Float[Array, " unread"] | None = None) -> dict[str, Array]:
         """Return the position of the unread variables: their mean given the others' whitened coordinates, plus noise of their own."""
         centre = self.mean + jnp.sum(self.gain * noise, axis=-1)
         return split(centre if own_noise is None else centre + jnp.sum(self.root * own_noise, axis=-1), self.like)
@@ -88,20 +88,20 @@ class GaussianView(NamedTuple):
 
     def state(self, ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with unread variables at their mean. It takes nothing from its ancestor."""
-        unread = {} if self.unread is None else self.unread.given(self._noise(position))
-        return self._whole(ancestor, {**position, **unread})
+        unread = {} if self.unread is None else self.unread.position(self._noise(position))
+        return self._complete_state(ancestor, {**position, **unread})
 
     def completed(self, noise: Float[Array, " unread"], ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with a draw of the unread variables, made from standard normal noise."""
-        unread = {} if self.unread is None else self.unread.given(self._noise(position), noise)
-        return self._whole(ancestor, {**position, **unread})
+        unread = {} if self.unread is None else self.unread.position(self._noise(position), noise)
+        return self._complete_state(ancestor, {**position, **unread})
 
     @property
     def unread_size(self) -> int:
         """The number of unread coordinates."""
         return 0 if self.unread is None else self.unread.mean.shape[0]
 
-    def _whole(self, ancestor: Index, position: State) -> State:
+    def _complete_state(self, ancestor: Index, position: State) -> State:
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
     def _noise(self, position: State) -> Float[Array, " dof"]:
@@ -185,8 +185,8 @@ def _moments_of_draws(key: Key, density: Density, coordinates: Chart) -> _Moment
     """Return the mean and the covariance of the prediction from draws."""
     weights = jax.nn.softmax(density.previous.log_weights) / TRANSITIONS
 
-    def transitions(keys: Keys, before: State) -> Float[Array, "draw dof"]:
-        draws = jax.vmap(lambda key: density.transition.sample(key, before))(keys)
+    def transitions(keys: Keys, previous_state: State) -> Float[Array, "draw dof"]:
+        draws = jax.vmap(lambda key: density.transition.sample(key, previous_state))(keys)
         return jax.vmap(lambda state: joined(coordinates.unconstrain(state)))(draws)
 
     drawn = jax.vmap(transitions)(jax.random.split(key, (weights.shape[0], TRANSITIONS)), dict(density.previous.states))

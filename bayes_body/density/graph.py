@@ -100,7 +100,11 @@ class Mixture(NamedTuple):
         return jax.nn.logsumexp(jnp.where(weights > -jnp.inf, self.log_components(values) + weights, -jnp.inf), axis=-1)
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["variable", "names", "space"], data_fields=["unaries", "pairs", "prior", "proposals", "rest"])
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["variable", "names", "space"],
+    data_fields=["unaries", "pairs", "prior", "proposals", "joint_factors"],
+)
 @dataclass(frozen=True)
 class Graph:
     """A pairwise graph.
@@ -113,7 +117,8 @@ class Graph:
         pairs: factors of two nodes.
         prior: a mixture over ancestors of products over nodes, or None. All nodes have the same ancestor, so its weights are the same for all.
         proposals: distributions that say where to look for the nodes. They are not factors.
-        rest: value of the variable -> log of the factors that read more than two nodes, or None. Only the weights of the joint draws contain them.
+        joint_factors: value of the variable -> log of the factors that read more than two nodes, or None. Only the weights of the joint draws
+            contain them.
     """
 
     variable: str
@@ -123,7 +128,7 @@ class Graph:
     pairs: tuple[Term, ...]
     prior: Mixture | None = None
     proposals: tuple[Mixture, ...] = ()
-    rest: Any = None
+    joint_factors: Any = None
 
     @property
     def count(self) -> int:
@@ -132,7 +137,7 @@ class Graph:
 
     def log_density(self, value: Float[Array, "node *entry"]) -> Scalar:
         """Return the log-density of the values of all nodes, up to a constant."""
-        terms = [jnp.sum(term.plate.each(value, term.data)) for term in (*self.unaries, *self.pairs)]
+        terms = [jnp.sum(term.plate.log_potentials(value, term.data)) for term in (*self.unaries, *self.pairs)]
         of_ancestors = jnp.sum(self.by_ancestor(value[:, None])[:, 0], axis=0)
         return sum(terms, jax.nn.logsumexp(of_ancestors + self.log_ancestors) + self.log_rest(value))
 
@@ -147,7 +152,7 @@ class Graph:
 
     def log_rest(self, value: Float[Array, "node *entry"]) -> Scalar:
         """Return the log of the factors that read more than two nodes."""
-        return jnp.zeros((), value.dtype) if self.rest is None else self.rest(value)
+        return jnp.zeros((), value.dtype) if self.joint_factors is None else self.joint_factors(value)
 
     @property
     def only_closing(self) -> tuple[bool, ...]:

@@ -151,9 +151,9 @@ def _log_difference(distribution: Distribution, first: Array, second: Array) -> 
     return _log_prob(distribution, second - first)
 
 
-def _draw_difference(key: Key, distribution: Distribution, known: Array, reverse: bool) -> Array:
-    step = jnp.broadcast_to(distribution.sample(key), known.shape)
-    return known - step if reverse else known + step
+def _draw_difference(key: Key, distribution: Distribution, entry: Array, reverse: bool) -> Array:
+    step = jnp.broadcast_to(distribution.sample(key), entry.shape)
+    return entry - step if reverse else entry + step
 
 
 def _as_maker(factor: Any, parameters: Any) -> Callable[[int], Distribution] | None:
@@ -188,9 +188,9 @@ def _mixture(distributions: Distribution, rows: Sequence[Sequence[int]], count: 
 def _check_reached(built: Graph) -> None:
     """Check that every node has a proposal, or is reached from a node with a proposal along edges that propose."""
     reached = {int(node) for mixture in built.proposals for node in np.flatnonzero(np.asarray(mixture.exists))}
-    before = -1
-    while len(reached) > before:
-        before = len(reached)
+    previous_count = -1
+    while len(reached) > previous_count:
+        previous_count = len(reached)
         for term in (term for term in built.pairs if term.plate.draw is not None):
             reached |= {node for row in term.plate.rows if set(row) & reached for node in row}
     lost = [name for node, name in enumerate(built.names) if node not in reached]
@@ -220,9 +220,9 @@ def _check_values(built: Graph) -> None:
             )
         bad = np.flatnonzero(np.isnan(np.asarray(log_potentials)).any(axis=1))
         if len(bad):
-            where = " and ".join(f"'{built.names[node]}'" for node in term.plate.rows[bad[0]])
+            nodes_read = " and ".join(f"'{built.names[node]}'" for node in term.plate.rows[bad[0]])
             remedy = "look for 0 / 0, the logarithm of a negative number, or missing data"
-            raise input_error(f"factor '{term.name}'", f"its log-potential at {where} is NaN", "a number, or minus infinity", remedy)
+            raise input_error(f"factor '{term.name}'", f"its log-potential at {nodes_read} is NaN", "a number, or minus infinity", remedy)
 
 
 def _warn_of_pieces(built: Graph) -> None:

@@ -57,11 +57,11 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
     if not hasattr(conditional[name], "entries"):
         problem = f"the distribution of '{name}' does not say how each entry moves"
         raise input_error(f"dynamics '{density.transition.name}'", problem, "a method `entries()`", "take rigid_walk")
-    unaries, pairs, whole = [], [], []
+    unaries, pairs, joint_factors = [], [], []
     for factor in density.factors:
         plate = factor.log_potential
         if not isinstance(plate, Plate):
-            whole.append(factor)
+            joint_factors.append(factor)
             continue
         check_rows(factor.name, plate.rows, space.names)
         term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
@@ -75,7 +75,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         pairs=tuple(pairs),
         prior=_by_node(predictions[name], density.previous.log_weights),
         proposals=density.proposals,
-        rest=Rest(name, replace(density, factors=tuple(whole)), predictions) if whole else None,
+        joint_factors=Rest(name, replace(density, factors=tuple(joint_factors)), predictions) if joint_factors else None,
     )
 
 

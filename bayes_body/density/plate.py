@@ -51,7 +51,7 @@ class Plate:
     weighted_draw: Callable[[Array, Any, Array, bool], tuple[Array, Scalar]] | None = None
     pairwise: Callable[[Any, Array, Array], Float[Array, "first second"]] | None = None
 
-    def each(self, value: Array, data: Any = None) -> Float[Array, " row"]:
+    def log_potentials(self, value: Array, data: Any = None) -> Float[Array, " row"]:
         """Return the log-potential of every row."""
         entries = [value[column] for column in np.array(self.rows, np.int32).T]
         with_data = {} if data is None else {"data": data}
@@ -59,7 +59,7 @@ class Plate:
 
     def __call__(self, values: Variables, data: Any) -> Scalar:
         """Return the sum over the rows."""
-        return jnp.sum(self.each(values[Variable(self.variable)], data))
+        return jnp.sum(self.log_potentials(values[Variable(self.variable)], data))
 
 
 def plate_factor(

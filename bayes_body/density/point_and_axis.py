@@ -53,9 +53,9 @@ class PointAndAxis:
         kappa = jnp.maximum(self.concentration, LEAST)
         u = jax.random.uniform(along_key, (), self.place.dtype, 1e-7, 1.0)
         cosine = jnp.clip(1 + jnp.log(u + (1 - u) * jnp.exp(-2 * kappa)) / kappa, -1.0, 1.0)
-        across = jax.random.normal(around_key, (3,), self.place.dtype)
-        across = _unit(across - jnp.dot(across, self.direction) * self.direction)
-        aim = cosine * self.direction + jnp.sqrt(1 - cosine**2) * across
+        perpendicular = jax.random.normal(around_key, (3,), self.place.dtype)
+        perpendicular = _unit(perpendicular - jnp.dot(perpendicular, self.direction) * self.direction)
+        aim = cosine * self.direction + jnp.sqrt(1 - cosine**2) * perpendicular
         # A uniform rotation, followed by the shortest one that brings the axis to its direction. The rotation about the axis stays uniform.
         anyhow = _unit(jax.random.normal(turn_key, (4,), self.place.dtype))
         quaternion = rotations.multiply(_shortest(jnp.asarray(rotations.rotate(anyhow, self.axis)), aim), anyhow)

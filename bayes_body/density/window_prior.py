@@ -41,13 +41,13 @@ class WindowPrior(NamedTuple):
         return jnp.sum(jnp.log(jnp.diagonal(self.inverse_root))) - 0.5 * jnp.sum(noise * noise) - 0.5 * noise.size * jnp.log(2 * jnp.pi)
 
 
-def window_prior(key: Key, transition: Transition, before: Particles, references: State) -> WindowPrior:
+def window_prior(key: Key, transition: Transition, previous: Particles, references: State) -> WindowPrior:
     """Return the Gaussian over as many frames as there are references.
 
     Args:
         key: random key of the draws.
         transition: the motion prior.
-        before: the weighted particles of the frame before the window.
+        previous: the weighted particles of the frame before the window.
         references: (frame, ...), for each frame a state of the previous frame, around which its coordinates are defined.
 
     Raises:
@@ -56,18 +56,18 @@ def window_prior(key: Key, transition: Transition, before: Particles, references
     if transition.frames_read is None:
         problem = f"the dynamics '{transition.name}' remember all frames before"
         raise input_error("a Gaussian prior of a window", problem, "dynamics that read a few frames", "choose a model with other dynamics")
-    return _fitted(key, transition, before, references)
+    return _fitted(key, transition, previous, references)
 
 
 @jax.jit
-def _fitted(key: Key, transition: Transition, before: Particles, references: State) -> WindowPrior:
-    weights = jax.nn.softmax(before.log_weights) / TRANSITIONS
+def _fitted(key: Key, transition: Transition, previous: Particles, references: State) -> WindowPrior:
+    weights = jax.nn.softmax(previous.log_weights) / TRANSITIONS
 
     def path(key: Key, state: State) -> Float[Array, " entry"]:
         def step(state: State, turn: tuple[Key, State]) -> tuple[State, Array]:
-            after = transition.sample(turn[0], state)
-            near = transition.near(sampled_of(transition, after), turn[1])
-            return after, ravel_pytree(coordinates_after(transition, turn[1]).unconstrain(near))[0]
+            next_state = transition.sample(turn[0], state)
+            unwrapped = transition.near(sampled_of(transition, next_state), turn[1])
+            return next_state, ravel_pytree(coordinates_after(transition, turn[1]).unconstrain(unwrapped))[0]
 
         frames = jax.tree.leaves(dict(references))[0].shape[0]
         return _steps(jax.lax.scan(step, dict(state), (jax.random.split(key, frames), dict(references)))[1])
@@ -75,7 +75,7 @@ def _fitted(key: Key, transition: Transition, before: Particles, references: Sta
     def draw_paths(key: Key, state: State) -> Float[Array, "draw entry"]:
         return jax.vmap(path, in_axes=(0, None))(jax.random.split(key, TRANSITIONS), state)
 
-    drawn = jax.vmap(draw_paths)(jax.random.split(key, weights.shape[0]), dict(before.states))
+    drawn = jax.vmap(draw_paths)(jax.random.split(key, weights.shape[0]), dict(previous.states))
     mean, _, inverse_root = fitted_gaussian(weights, drawn)
     return WindowPrior(mean, inverse_root)
 

@@ -71,7 +71,7 @@ class _Laid(NamedTuple):
     frame: int
     states: State
     ancestors: Int[Array, " path"]
-    ahead: Ahead
+    next_frames: Ahead
     density: Density | None
     begins: bool
     prediction: LinearPrediction | None = None
@@ -112,14 +112,14 @@ class Backward:
 
     def _final(self, frames: Iterator[PathFrame]) -> Iterator[PathFrame]:
         """Yield each frame as soon as the frames before it determine what its states carry."""
-        later: list[PathFrame] = []
+        waiting: list[PathFrame] = []
         for current in frames:
-            later = [current, *later]
-            whole = later[:1]
-            for path_frame in later[1:]:
-                whole.append(path_frame._replace(states=self.steps.carried(whole[-1].states, path_frame.states)))
-            yield from reversed(whole if current.begins else whole[self.delay :])
-            later = [] if current.begins else later[: self.delay]
+            waiting = [current, *waiting]
+            completed = waiting[:1]
+            for path_frame in waiting[1:]:
+                completed.append(path_frame._replace(states=self.steps.carried(completed[-1].states, path_frame.states)))
+            yield from reversed(completed if current.begins else completed[self.delay :])
+            waiting = [] if current.begins else waiting[: self.delay]
 
     def _check_gaussian(self) -> None:
         first = self.filtered(0).particles
@@ -130,60 +130,64 @@ class Backward:
     # -- the first walk ---------------------------------------------------------------------------------------------------------------------
 
     def _lay(self, key: Key, count: int) -> Iterator[PathFrame]:
-        after, unknown = None, jnp.full((), jnp.nan)
+        next_position, nan = None, jnp.full((), jnp.nan)
         for frame in range(count - 1, -1, -1):
-            after = self._step_back(jax.random.fold_in(key, frame), frame, self.filtered(frame), after)
-            yield PathFrame(frame, after.states, after.begins, unknown, unknown, after.prediction)
+            next_position = self._step_back(jax.random.fold_in(key, frame), frame, self.filtered(frame), next_position)
+            yield PathFrame(frame, next_position.states, next_position.begins, nan, nan, next_position.prediction)
 
-    def _step_back(self, key: Key, frame: int, filtered: Filtered, after: _Laid | None) -> _Laid:
+    def _step_back(self, key: Key, frame: int, filtered: Filtered, next_position: _Laid | None) -> _Laid:
         """Return the paths at a frame, given their later frames."""
         begin_key, step_key = jax.random.split(key)
         particles, prediction = filtered.particles, None
         if self.smoother.options.start == "gaussian":
-            nexts = None if after is None or after.begins else after.states
+            nexts = None if next_position is None or next_position.begins else next_position.states
             states = self.steps.last_states(begin_key, particles) if nexts is None else self.steps.states_before(step_key, particles, nexts)
-            return _Laid(frame, states, self.steps.no_ancestors, self.steps.none_ahead(self.steps.sampled(states)), None, filtered.begins)
-        if after is None or after.begins:
+            return _Laid(frame, states, self.steps.no_ancestors, self.steps.no_next_frames(self.steps.sampled(states)), None, filtered.begins)
+        if next_position is None or next_position.begins:
             index = self.steps.begin(begin_key, particles)
-            states, ahead = self.steps.at(particles, index), None
+            states, next_frames = self.steps.states_at(particles, index), None
         elif self.memory is None:
-            index = after.ancestors
-            states, ahead = self.steps.at(particles, index), after.ahead
+            index = next_position.ancestors
+            states, next_frames = self.steps.states_at(particles, index), next_position.next_frames
         else:
-            ahead = self.steps.pushed(after.ahead, self.steps.sampled(after.states))
+            next_frames = self.steps.pushed(next_position.next_frames, self.steps.sampled(next_position.states))
             if self.smoother.options.start == "particles":
                 density = self.density(frame + 1, particles)
-                paths = OnParticles(after.ancestors, self.steps.sampled(after.states), after.ahead)
+                paths = OnParticles(next_position.ancestors, self.steps.sampled(next_position.states), next_position.next_frames)
                 linked = density if density.reads_previous else None
                 # Without a frame ahead, this link has no effect; a density of the same form lets the same program run.
-                index = self.steps.choose(step_key, paths, density, linked if after.density is None else after.density)
-                states = self.steps.at(particles, index)
-                return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), ahead, linked, filtered.begins)
+                index = self.steps.choose(step_key, paths, density, linked if next_position.density is None else next_position.density)
+                states = self.steps.states_at(particles, index)
+                return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), next_frames, linked, filtered.begins)
             index = self.steps.begin(begin_key, particles)
             predict_key, step_key = jax.random.split(step_key)
             prediction = self.steps.predict(predict_key, particles)
-            states = self.steps.regress(step_key, particles, index, ahead, prediction)
-        ahead = self.steps.none_ahead(self.steps.sampled(states)) if ahead is None else ahead
-        return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), ahead, None, filtered.begins, prediction)
+            states = self.steps.regress(step_key, particles, index, next_frames, prediction)
+        next_frames = self.steps.none_ahead(self.steps.sampled(states)) if next_frames is None else next_frames
+        return _Laid(frame, states, self.steps.ancestors_at(filtered.ancestors, index), next_frames, None, filtered.begins, prediction)
 
     # -- the second walk --------------------------------------------------------------------------------------------------------------------
 
     def _move(self, key: Key, laid: Iterator[PathFrame], stored: Callable[[int], PathFrame] | None, first: int) -> Iterator[PathFrame]:
         """Yield the moved frames before frame `first`."""
-        current, ahead, after, step_size = next(laid), None, None, self.steps.first_step_size(self.filtered(0).particles)
+        current, next_frames, next_density, step_size = next(laid), None, None, self.steps.first_step_size(self.filtered(0).particles)
         while current is not None:
-            before = next(laid, None)
+            previous_frame = next(laid, None)
             if current.frame >= first and stored is not None:
                 moved = stored(current.frame)._replace(begins=current.begins)
-                after = self._link(current) if current.frame == first else None
+                next_density = self._link(current) if current.frame == first else None
             else:
-                moved, after = self._frame(jax.random.fold_in(key, current.frame), current, before, ahead, after, step_size)
+                moved, next_density = self._frame(
+                    jax.random.fold_in(key, current.frame), current, previous_frame, next_frames, next_density, step_size
+                )
                 yield moved
             step_size, sampled = moved.log_step_size, self.steps.sampled(moved.states)
             # The frame before the beginning of these paths belongs to other paths.
-            ahead = None if current.begins else self.steps.pushed(self.steps.none_ahead(sampled) if ahead is None else ahead, sampled)
-            after = None if current.begins else after
-            current = before
+            next_frames = (
+                None if current.begins else self.steps.pushed(self.steps.none_ahead(sampled) if next_frames is None else next_frames, sampled)
+            )
+            next_density = None if current.begins else next_density
+            current = previous_frame
 
     def _link(self, path_frame: PathFrame) -> Density | None:
         """Return the density of a frame if it reads the frame before, whose states are to be moved next."""
@@ -193,22 +197,28 @@ class Backward:
         return density if density.reads_previous else None
 
     def _frame(
-        self, key: Key, path_frame: PathFrame, before: PathFrame | None, ahead: Ahead | None, after: Density | None, step_size: Scalar
+        self,
+        key: Key,
+        path_frame: PathFrame,
+        previous_frame: PathFrame | None,
+        next_frames: Ahead | None,
+        next_density: Density | None,
+        step_size: Scalar,
     ) -> tuple[PathFrame, Density | None]:
         """Return one frame with its states moved, and its density if the frame before needs it."""
         filtered = self.filtered(path_frame.frame)
         # Near the beginning of the paths, what a state carries comes from a particle, not from the path.
         early = any(self.filtered(path_frame.frame - k).begins for k in range(1, self.delay + 1) if path_frame.frame >= k)
-        if path_frame.begins or before is None or filtered.fixed or early:
+        if path_frame.begins or previous_frame is None or filtered.fixed or early:
             return path_frame._replace(log_step_size=step_size), None
         previous, sampled = self.filtered(path_frame.frame - 1).particles, self.steps.sampled(path_frame.states)
         density = self.density(path_frame.frame, previous)
         # Without a frame ahead, this link has no effect; a density of the same form lets the same program run.
-        linked = (density if ahead is None else after) if density.reads_previous else None
-        neighbours = (before.states, self.steps.none_ahead(sampled) if ahead is None else ahead)
+        linked = (density if next_frames is None else next_density) if density.reads_previous else None
+        neighbours = (previous_frame.states, self.steps.none_ahead(sampled) if next_frames is None else next_frames)
         predict_key, move_key = jax.random.split(key)
         prediction = self.steps.predict(predict_key, filtered.particles) if path_frame.prediction is None else path_frame.prediction
         moved = self.steps.move(move_key, sampled, *neighbours, density, prediction, step_size, linked)
-        states = self.steps.completed(before.states, moved.sampled)
+        states = self.steps.completed(previous_frame.states, moved.sampled)
         step_size = self.steps.adapted(step_size, moved.acceptance_rate)
         return PathFrame(path_frame.frame, states, False, moved.acceptance_rate, step_size), density if density.reads_previous else None

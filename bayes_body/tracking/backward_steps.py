@@ -48,7 +48,7 @@ class BackwardSteps:
         return _compiled(self.smoother.choose)
 
     @cached_property
-    def at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
+    def states_at(self) -> Callable[[Particles, Int[Array, " path"]], State]:
         """Return the states of the particles with these indices."""
         return _compiled(lambda particles, index: jax.tree.map(lambda leaf: leaf[index], dict(particles.states)))
 
@@ -76,7 +76,7 @@ class BackwardSteps:
     @cached_property
     def pushed(self) -> Callable[[Ahead, State], Ahead]:
         """Put the sampled variables of a frame in front of the frames ahead."""
-        return _compiled(jax.vmap(lambda ahead, sampled: ahead.pushed(sampled)))
+        return _compiled(jax.vmap(lambda next_frames, sampled: next_frames.pushed(sampled)))
 
     @cached_property
     def completed(self) -> Callable[[State, State], State]:
@@ -86,16 +86,16 @@ class BackwardSteps:
     @cached_property
     def carried(self) -> Callable[[State, State], State]:
         """Return whole states in which the parts that are carried along follow from the given states of the frame before."""
-        return _compiled(jax.vmap(lambda before, state: self.transition.state(before, sampled_of(self.transition, state))))
+        return _compiled(jax.vmap(lambda previous_state, state: self.transition.state(previous_state, sampled_of(self.transition, state))))
 
     @cached_property
     def predict(self) -> Callable[[Key, Particles], LinearPrediction]:
         """Return the regression of the next frames on the particles of a frame (`kernels/paths/ensemble.py`)."""
 
-        def ahead(key: Key, particles: Particles) -> LinearPrediction:
+        def linear(key: Key, particles: Particles) -> LinearPrediction:
             return linear_prediction(key, particles, self.transition, _coordinates(self.transition, particles), self.memory or 0)
 
-        return _compiled(ahead)
+        return _compiled(linear)
 
     @cached_property
     def regress(self) -> Callable[..., State]:
@@ -140,15 +140,17 @@ class BackwardSteps:
         def moved(
             key: Key,
             sampled: State,
-            before: State,
-            ahead: Ahead,
+            previous_states: State,
+            next_frames: Ahead,
             density: Density,
             prediction: LinearPrediction,
             log_step_size: Scalar,
-            after: Density | None,
+            next_density: Density | None,
         ) -> Moved:
             root = whitening_of(prediction.nearest().precision_between())
-            return self.smoother.moved(key, sampled, before, ahead, Moves(density, density.coordinates(), after, root, jnp.exp(log_step_size)))
+            return self.smoother.moved(
+                key, sampled, previous_states, next_frames, Moves(density, density.coordinates(), next_density, root, jnp.exp(log_step_size))
+            )
 
         return _compiled(moved)
 

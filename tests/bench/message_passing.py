@@ -84,7 +84,7 @@ def with_joints(graph: Graph, count: int) -> Graph:
     (joints,) = (term for term in graph.pairs if term.name == "kinematic")
     plate = joints.plate
     some = replace(plate, rows=plate.rows[:count], parameters=jax.tree.map(lambda leaf: leaf[:count], plate.parameters))
-    return replace(graph, unaries=(), pairs=(Term(joints.name, joints.tempered, some),), rest=None)
+    return replace(graph, unaries=(), pairs=(Term(joints.name, joints.tempered, some),), joint_factors=None)
 
 
 def messages(graph: Graph, samples: int) -> float:

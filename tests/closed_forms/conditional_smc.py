@@ -24,7 +24,7 @@ from bayes_body.base.shapes import Index, Key
 from bayes_body.density.ahead import Ahead, log_ahead
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.density.frames import Frames, Own
+from bayes_body.density.frames import Frames, Inputs
 from bayes_body.kernels.weights import LogWeights
 
 
@@ -44,10 +44,10 @@ class _Turn(NamedTuple):
     """One frame of the filter: its key, what the frame has for itself, the given path there and after it, and what the next frame has for itself."""
 
     key: Key
-    own: Own
+    own: Inputs
     given: State
     ahead: Ahead
-    next_own: Own
+    next_own: Inputs
 
 
 @partial(jax.jit, static_argnames=("particles", "sweeps"))
@@ -85,9 +85,9 @@ def conditional_smc(key: Key, path: State, frames: Frames, before: Particles, pa
     transition, aheads = frames.transition, _aheads(path, frames.transition)
     length = jax.tree.leaves(dict(path))[0].shape[0]
     # What follows the last frame is marked as unknown, so its data do not matter.
-    next_own = jax.tree.map(lambda leaf: jnp.concatenate([leaf[1:], leaf[-1:]]), frames.own)
+    next_own = jax.tree.map(lambda leaf: jnp.concatenate([leaf[1:], leaf[-1:]]), frames.inputs)
 
-    def after(own: Own) -> Density | None:
+    def after(own: Inputs) -> Density | None:
         return frames.density(own, before) if frames.linked else None
 
     def step(parents: State, turn: _Turn) -> tuple[State, tuple[State, Int[Array, " particle"]]]:
@@ -99,8 +99,8 @@ def conditional_smc(key: Key, path: State, frames: Frames, before: Particles, pa
         chosen = _ancestors(choose_key, Particles(states, log_weights), turn.ahead, after(turn.next_own), transition, particles)
         return _at(states, chosen), (states, chosen)
 
-    first = _ancestors(start_key, before, _at(aheads, 0), after(_at(frames.own, 0)), transition, particles)
-    turns = _Turn(jax.random.split(scan_key, length), frames.own, dict(path), jax.tree.map(lambda leaf: leaf[1:], aheads), next_own)
+    first = _ancestors(start_key, before, _at(aheads, 0), after(_at(frames.inputs, 0)), transition, particles)
+    turns = _Turn(jax.random.split(scan_key, length), frames.inputs, dict(path), jax.tree.map(lambda leaf: leaf[1:], aheads), next_own)
     _, (states, chosen) = jax.lax.scan(step, _at(dict(before.states), first), turns)
     return _traced(states, chosen, first)
 

@@ -135,9 +135,9 @@ def test_a_smoother_that_keeps_what_a_particle_carries_is_found_out(monkeypatch)
 
     def naive(transition, state, ahead, after=None):
         total, before = jnp.zeros(()), state
-        for k in range(ahead.known.shape[0]):
+        for k in range(ahead.exists.shape[0]):
             here = {**before, "x": ahead.sampled["x"][k]}
-            total += jnp.where(ahead.known[k], transition.log_density(here, before), 0.0)
+            total += jnp.where(ahead.exists[k], transition.log_density(here, before), 0.0)
             before = here
         return total
 

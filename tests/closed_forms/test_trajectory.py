@@ -77,7 +77,7 @@ def test_the_value_and_the_gradient_are_those_of_the_parts(process, count, joine
     linked = later = joined
     before = _mixture(process, count)
     *densities, after = _densities(process, before, linked)
-    ahead = Ahead({"x": LATER.sampled["x"][: process.memory]}, LATER.known[: process.memory]) if later else None
+    ahead = Ahead({"x": LATER.sampled["x"][: process.memory]}, LATER.exists[: process.memory]) if later else None
     states = {"x": PATH[:COUNT]} | ({BEFORE: PATH[:COUNT]} if process.memory == 2 else {})
     target = trajectory(stacked(densities), before, states, ahead, after if later else None)
 

@@ -141,7 +141,7 @@ def _window(frames: Frames, first: State, sampled: State, references: State, beg
     memory = count if transition.frames_read is None else transition.frames_read
     numbers = begin + length + jnp.arange(memory)
     ahead = Ahead({name: values[jnp.minimum(numbers, count - 1)] for name, values in sampled.items()}, numbers < count)
-    own: Any = jax.tree.map(lambda leaf: leaf[jnp.minimum(begin + length, count - 1)], frames.own)
+    own: Any = jax.tree.map(lambda leaf: leaf[jnp.minimum(begin + length, count - 1)], frames.inputs)
     after = frames.density(own, known) if frames.linked else None
     around = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, begin, length), dict(references))
     return Trajectory(frames.window(begin, length), known, {}, around, ahead, after)

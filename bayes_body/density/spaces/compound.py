@@ -87,10 +87,10 @@ class Product:
         """Return v, and the images of one piece at a time."""
         vectors = [v[..., None, :]]
         for piece, entries in self._tangents():
-            others = piece.images(v[..., entries])[..., 1:, :]
-            before, after = v[..., None, : entries.start], v[..., None, entries.stop :]
-            same = 0 * others[..., :1]
-            vectors.append(joined(before + same, others, after + same))
+            piece_images = piece.images(v[..., entries])[..., 1:, :]
+            leading, trailing = v[..., None, : entries.start], v[..., None, entries.stop :]
+            same = 0 * piece_images[..., :1]
+            vectors.append(joined(leading + same, piece_images, trailing + same))
         return namespace(v).concatenate(vectors, axis=-2)
 
     def _tangents(self) -> Iterator[tuple[Space, slice]]:

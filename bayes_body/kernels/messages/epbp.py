@@ -67,7 +67,7 @@ class ExpectationPropagation:
     ) -> tuple[TangentNormal, Sites]:
         """Return the proposals that the updated sites define, stacked over the nodes; the normal fit where no update was accepted yet."""
         del weights
-        unary = beliefs.rest + power * beliefs.likelihood
+        unary = beliefs.log_prior + power * beliefs.likelihood
         factors = jnp.concatenate([unary[:, None], _incoming(graph, beliefs)], axis=1)
 
         def of_node(

@@ -52,7 +52,7 @@ class Beliefs(NamedTuple):
         points: particles of each node.
         log_q: log-density of the proposal that they were drawn from.
         likelihood: log of their tempered factors.
-        rest: log of their other factors.
+        log_prior: log of their other factors.
         messages: for each term of two nodes, log of the incoming messages at the particles of the target.
         ready: whether the node has particles yet.
     """
@@ -60,7 +60,7 @@ class Beliefs(NamedTuple):
     points: Float[Array, "node sample *entry"]
     log_q: NodeValues
     likelihood: NodeValues
-    rest: NodeValues
+    log_prior: NodeValues
     messages: tuple[Directed, ...]
     ready: Float[Array, " node"]
 
@@ -89,7 +89,7 @@ def normalised(log_weights: Float[Array, "*batch sample"]) -> Float[Array, "*bat
 
 def log_beliefs(graph: Graph, beliefs: Beliefs, power: float | Scalar = 1.0) -> NodeValues:
     """Return the log-weight of every particle in its node's belief, not normalised. `power` is the power of the likelihood."""
-    total = beliefs.rest + power * beliefs.likelihood - beliefs.log_q
+    total = beliefs.log_prior + power * beliefs.likelihood - beliefs.log_q
     for term, messages in zip(graph.pairs, beliefs.messages, strict=True):
         first, second = ends(term)
         total = total.at[second].add(messages.forward).at[first].add(messages.backward)

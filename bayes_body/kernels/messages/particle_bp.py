@@ -175,7 +175,7 @@ class ParticleBP:
         ess = effective_sample_size(posterior.log_weights)
         # A round evaluates the factors of some nodes, the redrawing those of all nodes, and the weights those that read the whole body.
         of_rounds = passed.points.shape[1] * jnp.sum(rounds.nodes < graph.count) // graph.count
-        evaluations = of_rounds + options.samples + (0 if graph.rest is None else count)
+        evaluations = of_rounds + options.samples + (0 if graph.joint_factors is None else count)
         info = FilterInfo(
             ancestors=thinned[ancestors],
             ess=ess,

@@ -129,7 +129,7 @@ class Passing:
             points,
             jnp.where(chosen, log_q, beliefs.log_q),
             jnp.where(chosen, likelihood, beliefs.likelihood),
-            jnp.where(chosen, potential + prior, beliefs.rest),
+            jnp.where(chosen, potential + prior, beliefs.log_prior),
             messages,
             ready,
         )

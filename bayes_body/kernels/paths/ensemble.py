@@ -51,9 +51,9 @@ class LinearPrediction(NamedTuple):
         size = len(self.spread)
         return LinearPrediction(self.spread, self.slope[:size], self.noise[:size, :size])
 
-    def of_known(self, known: Bool[Array, " frame"]) -> "LinearPrediction":
+    def of_known(self, exists: Bool[Array, " frame"]) -> "LinearPrediction":
         """Return the regression without weight on next frames that do not exist, so that one program serves all frames of a recording."""
-        rows = jnp.repeat(known, len(self.spread))
+        rows = jnp.repeat(exists, len(self.spread))
         noise = jnp.where(rows[:, None] & rows, self.noise, jnp.eye(len(rows), dtype=self.noise.dtype))
         return LinearPrediction(self.spread, jnp.where(rows[:, None], self.slope, 0.0), noise)
 
@@ -103,7 +103,7 @@ def regressed(
     u = jax.vmap(flat.vector_of_state)(chosen)
     v = jax.vmap(lambda key, state: _predicted(key, state, transition, chart, frames))(jax.random.split(key, len(indices)), unwound)
     ahead = jax.vmap(jax.vmap(flat.vector))(nexts.sampled).reshape(v.shape)
-    return jax.vmap(flat.sampled)(u + (ahead - v) @ prediction.of_known(nexts.known[0]).gain().T)
+    return jax.vmap(flat.sampled)(u + (ahead - v) @ prediction.of_known(nexts.exists[0]).gain().T)
 
 
 def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> LinearPrediction:

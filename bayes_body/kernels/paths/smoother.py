@@ -79,12 +79,12 @@ class OnParticles(NamedTuple):
     Attributes:
         ancestor: index of the path's state among the particles of the frame before.
         sampled: the sampled variables of the frame.
-        ahead: the frames after it.
+        next_frames: the frames after it.
     """
 
     ancestor: Int[Array, "*path"]
     sampled: State
-    ahead: Ahead
+    next_frames: Ahead
 
 
 class Moved(NamedTuple):
@@ -100,14 +100,14 @@ class Moves(NamedTuple):
     Attributes:
         density: the density of the frame.
         coordinates: its unconstrained coordinates.
-        after: the density of the next frame, if a factor reads the frame before.
+        next_density: the density of the next frame, if a factor reads the frame before.
         whitening: an upper triangular root of a covariance of the coordinates, in the order of `ravel_pytree`.
         step_size: step size of the trajectories.
     """
 
     density: Density
     coordinates: Chart
-    after: Density | None
+    next_density: Density | None
     whitening: Float[Array, "dof dof"]
     step_size: Scalar
 
@@ -123,66 +123,66 @@ class Smoother:
         """Return an index among the particles for each path, drawn by weight."""
         return _drawn(key, particles.log_weights, self.options.draws)
 
-    def choose(self, key: Key, paths: OnParticles, density: Density, after: Density | None = None) -> Int[Array, " path"]:
+    def choose(self, key: Key, paths: OnParticles, density: Density, next_density: Density | None = None) -> Int[Array, " path"]:
         """Redraw the index of each path among the particles of the frame before, given its states from this frame on.
 
         Args:
             key: random key.
             paths: one frame of the paths.
             density: the density of the frame, with the particles of the frame before.
-            after: the density of the next frame, if a factor reads the frame before.
+            next_density: the density of the next frame, if a factor reads the frame before.
         """
 
         def redraw(item: tuple[Key, OnParticles], shared: tuple[Density, Predictions, Density | None]) -> Index:
             return self._chosen(*item, *shared)
 
         keys = jax.random.split(key, paths.ancestor.shape[0])
-        return over_particles(redraw, (keys, paths), (density, density.predictions(), after))
+        return over_particles(redraw, (keys, paths), (density, density.predictions(), next_density))
 
-    def _chosen(self, key: Key, path: OnParticles, density: Density, predictions: Predictions, after: Density | None) -> Index:
+    def _chosen(self, key: Key, path: OnParticles, density: Density, predictions: Predictions, next_density: Density | None) -> Index:
         """Return an index from its distribution given the path, or by a move that leaves this invariant."""
         log_probs = density.ancestor_log_probs(density.transition.with_derived(path.sampled), predictions)
         if density.transition.frames_read == 1:
             return _drawn(key, log_probs, 1)[0].astype(path.ancestor.dtype)
         draw_key, choose_key = jax.random.split(key)
 
-        def later(index: Index) -> Scalar:
-            whole = density.transition.state(density.ancestor(index), path.sampled)
-            return log_ahead(density.transition, whole, path.ahead, after)
+        def log_next_frames(index: Index) -> Scalar:
+            state = density.transition.state(density.ancestor(index), path.sampled)
+            return log_ahead(density.transition, state, path.next_frames, next_density)
 
         if self.options.candidates > log_probs.shape[0]:
             every = jnp.arange(log_probs.shape[0], dtype=path.ancestor.dtype)
-            return jax.random.categorical(choose_key, log_probs + jax.vmap(later)(every)).astype(path.ancestor.dtype)
-        others = _drawn(draw_key, log_probs, self.options.candidates - 1)
-        competing = jnp.concatenate([path.ancestor[None], others.astype(path.ancestor.dtype)])
-        return competing[jax.random.categorical(choose_key, jax.vmap(later)(competing))]
+            return jax.random.categorical(choose_key, log_probs + jax.vmap(log_next_frames)(every)).astype(path.ancestor.dtype)
+        rivals = _drawn(draw_key, log_probs, self.options.candidates - 1)
+        competing = jnp.concatenate([path.ancestor[None], rivals.astype(path.ancestor.dtype)])
+        return competing[jax.random.categorical(choose_key, jax.vmap(log_next_frames)(competing))]
 
-    def moved(self, key: Key, sampled: State, before: State, ahead: Ahead, settings: Moves) -> Moved:
+    def moved(self, key: Key, sampled: State, previous_states: State, next_frames: Ahead, settings: Moves) -> Moved:
         """Move the state of each path given the frames before and after it.
 
         Args:
             key: random key.
             sampled: the sampled variables of the frame (path, ...).
-            before: whole states of the frame before.
-            ahead: the frames after it.
+            previous_states: whole states of the frame before.
+            next_frames: the frames after it.
             settings: the settings that all paths share.
         """
 
         def move_path(item: tuple[Key, State, State, Ahead], settings: Moves) -> tuple[State, Scalar]:
-            key, start, before, ahead = item
+            key, start, previous_state, next_frames = item
 
             # A loop, so that the program holds one move, however many there are.
-            def again(current: State, number: Index) -> tuple[State, Scalar]:
-                return self._moved(jax.random.fold_in(key, number), current, before, ahead, settings)
+            def move_once(current: State, number: Index) -> tuple[State, Scalar]:
+                return self._moved(jax.random.fold_in(key, number), current, previous_state, next_frames, settings)
 
-            last, rates = jax.lax.scan(again, start, jnp.arange(self.options.moves))
+            last, rates = jax.lax.scan(move_once, start, jnp.arange(self.options.moves))
             return last, jnp.mean(rates)
 
         keys = jax.random.split(key, self.options.draws)
-        after, rates = over_particles(move_path, (keys, dict(sampled), dict(before), ahead), settings)
-        return Moved(after, jnp.mean(rates))
+        variables, rates = over_particles(move_path, (keys, dict(sampled), dict(previous_states), next_frames), settings)
+        return Moved(variables, jnp.mean(rates))
 
-    def _moved(self, key: Key, sampled: State, before: State, ahead: Ahead, settings: Moves) -> tuple[State, Scalar]:
+    def _moved(self, key: Key, sampled: State, previous_state: State, next_frames: Ahead, settings: Moves) -> tuple[State, Scalar]:
         """Return one path's variables after a trajectory, and the acceptance rate."""
         density, chart, root = settings.density, settings.coordinates, settings.whitening
         position = chart.unconstrain(sampled)
@@ -190,18 +190,18 @@ class Smoother:
 
         def target(whitened: State) -> tuple[Scalar, LogTerms]:
             position = unravel(root @ whitened["white"])
-            state = density.transition.state(before, chart.constrain(position))
-            links = log_between(density.transition, before, state, ahead, settings.after)
-            log_density = links + density.log_weight(state, before) + chart.log_determinant(position)
+            state = density.transition.state(previous_state, chart.constrain(position))
+            links = log_between(density.transition, previous_state, state, next_frames, settings.next_density)
+            log_density = links + density.log_weight(state, previous_state) + chart.log_determinant(position)
             # Nothing is tempered.
             return log_density, LogTerms(log_density, log_density)
 
         start = {"white": jax.scipy.linalg.solve_triangular(root, vector, lower=False)}
-        after = self.move.step(key, start, target, settings.step_size)
-        moved = chart.constrain(unravel(root @ after.position["white"]))
+        end = self.move.step(key, start, target, settings.step_size)
+        moved = chart.constrain(unravel(root @ end.position["white"]))
         # A rejected move leaves the variables as they are: their way through the coordinates and back would round them.
-        stayed = jnp.all(after.position["white"] == start["white"])
-        return {name: jnp.where(stayed, value, moved[name]) for name, value in sampled.items()}, after.acceptance_rate
+        stayed = jnp.all(end.position["white"] == start["white"])
+        return {name: jnp.where(stayed, value, moved[name]) for name, value in sampled.items()}, end.acceptance_rate
 
 
 def _drawn(key: Key, log_probs: LogWeights, count: int) -> Int[Array, " drawn"]:

@@ -232,7 +232,7 @@ def whole(f: Factor, body, parts, seen: MarkerEvidence) -> tuple[jax.Array, jax.
     return jax.value_and_grad(lambda x: detections.log_density(placed_markers(body, x), pixels, confidence))(parts)
 
 
-rows_of = jax.jit(lambda plate, parts, seen: plate.each(parts, seen))
+rows_of = jax.jit(lambda plate, parts, seen: plate.log_potentials(parts, seen))
 
 
 @pytest.mark.slow

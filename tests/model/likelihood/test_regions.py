@@ -30,7 +30,7 @@ viewpoint_of = jax.jit(lambda camera: camera.viewpoint)
 pixel_of = jax.jit(lambda camera, point: project(camera, point)[0])
 total = jax.jit(lambda f, parts, data: f({PARTS: parts}, {"regions": data}))
 slope_of = jax.jit(jax.grad(total, argnums=1))
-by_part = jax.jit(lambda plate, parts, data: plate.each(parts, data))
+by_part = jax.jit(lambda plate, parts, data: plate.log_potentials(parts, data))
 
 
 def camera_of(scene, c):
@@ -217,7 +217,7 @@ def test_a_part_leaves_a_picture_without_a_jump(x64, loose):
     aside = np.linspace(0, 3, 6000)[:, None] * np.asarray(scene.rig.rotation)[0, 0]
     slide = np.tile(scene.pose, (6000, 1, 1))
     slide[:, 0, :3] += aside
-    torso = np.asarray(jax.jit(jax.vmap(lambda parts: plate.each(parts, data)[0]))(slide))
+    torso = np.asarray(jax.jit(jax.vmap(lambda parts: plate.log_potentials(parts, data)[0]))(slide))
     assert torso[0] > 1000 and torso[-1] == 0
     # The last to leave is a narrow band, which would rather see background.
     assert torso.min() > -0.01 * torso[0] and np.abs(np.diff(torso)).max() < 0.015 * torso[0]

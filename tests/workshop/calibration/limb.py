@@ -174,7 +174,7 @@ def draw_prior(key: Any, limb: Limb) -> Any:
         ancestor_key, step_key, accept_key = jax.random.split(key, 3)
         ancestor = jax.random.categorical(ancestor_key, limb.before.log_weights)
         parts = limb.transition.sample(step_key, jax.tree.map(lambda leaf: leaf[ancestor], limb.before.states))["parts"]
-        return parts, jnp.log(jax.random.uniform(accept_key)) < jnp.sum(potential.each(parts)) - highest
+        return parts, jnp.log(jax.random.uniform(accept_key)) < jnp.sum(potential.log_potentials(parts)) - highest
 
     def again(tried: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
         parts, accepted = jax.vmap(one)(jax.random.split(jax.random.fold_in(key, tried[0]), TRIED))

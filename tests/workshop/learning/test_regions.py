@@ -85,7 +85,7 @@ def test_it_learns_and_finds_the_parts_of_a_simulated_walker(walk, model, progra
     parts = found.body.placement.configuration(found.body.skeleton, jnp.asarray(angles[3], jnp.float32))
     data = jax.tree.map(jnp.asarray, found.observe(read_frame(session, 3))["regions"])
     (plate,) = (factor.log_potential for factor in found.factors if factor.name == "regions")
-    each = jax.jit(lambda parts: plate.each(parts, data))
+    each = jax.jit(lambda parts: plate.log_potentials(parts, data))
     true = np.asarray(each(parts))
     shifts = 0.1 * np.concatenate([np.eye(3), -np.eye(3)])
     moved = np.array([each(parts.at[:, :3].add(jnp.asarray(shift, jnp.float32))) for shift in shifts])
