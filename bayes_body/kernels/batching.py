@@ -52,7 +52,7 @@ def over_particles(
     results = spread(padded, shared)
     if len(devices) > 1:
         # Gather once. Otherwise all devices would stop to exchange a number at every later sum over particles.
-        results = jax.lax.with_sharding_constraint(results, whole())
+        results = jax.lax.with_sharding_constraint(results, replicated())
     return jax.tree.map(lambda leaf: leaf[:count], results)
 
 
@@ -87,7 +87,7 @@ def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
     def run(particles: Any, shared: Any) -> Any:
         batches = jax.tree.map(lambda leaf: leaf.reshape(-1, batch, *leaf.shape[1:]), particles)
         shared = jax.tree.map(lambda leaf: varying_like(leaf, particles) if _is_key(leaf) else leaf, shared)
-        results = jax.lax.map(lambda some: vmapped(some, shared), batches)
+        results = jax.lax.map(lambda part: vmapped(part, shared), batches)
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
     return run
@@ -100,9 +100,9 @@ def _is_key(leaf: Any) -> bool:
 
 def everywhere[Tree](tree: Tree) -> Tree:
     """Return the tree with its arrays replicated on every device. A program's arguments and results are placed like this."""
-    return jax.device_put(tree, whole())
+    return jax.device_put(tree, replicated())
 
 
-def whole() -> NamedSharding:
+def replicated() -> NamedSharding:
     """Return the sharding of an array that is replicated on every device."""
     return NamedSharding(Mesh(np.array(jax.devices()), (DEVICES,)), PartitionSpec())

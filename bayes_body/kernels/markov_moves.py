@@ -55,8 +55,8 @@ def iterated_sir(particles: int = PARTICLES) -> MarkovMove:
         rivals = jax.random.categorical(ancestor_key, previous.log_weights, shape=(particles - 1,)).astype(ancestor.dtype)
         density = density.with_previous(previous)
         drawn = predict(sample_key, rivals, density)
-        before = density.ancestor(ancestor)
-        weights = jnp.concatenate([density.log_weight(state, before)[None], drawn.log_weights])
+        parent = density.ancestor(ancestor)
+        weights = jnp.concatenate([density.log_weight(state, parent)[None], drawn.log_weights])
         chosen = jax.random.categorical(choice_key, jnp.where(jnp.isnan(weights), -jnp.inf, weights))
         joined = jax.tree.map(
             lambda current, predicted: jnp.concatenate([jnp.asarray(current)[None], predicted])[chosen], dict(state), dict(drawn.states)
@@ -75,16 +75,16 @@ def tempered_walk(move: Move, moves: int, candidates: int, repeated: int = REPEA
         roots = _roots(whitening_key, view)
         largest = jnp.asarray(move.step_size(sum(root.shape[0] for root in roots.values())))
 
-        def again(particle: ExtendedParticle, turn_key: Key) -> tuple[ExtendedParticle, None]:
+        def walk_once(particle: ExtendedParticle, turn_key: Key) -> tuple[ExtendedParticle, None]:
             size_key, move_key = jax.random.split(turn_key)
             size = largest * jnp.exp(jax.random.uniform(size_key, (), minval=jnp.log(SCALES[0]), maxval=jnp.log(SCALES[1])))
             settings = MoveSettings(LogTerms(jnp.ones_like(size), jnp.ones_like(size)), size, roots)
             chain, *_ = walk(move_key, particle, view, settings, move, moves, candidates)
-            return jax.tree.map(lambda leaf, before: leaf[-1].astype(before.dtype), chain, particle), None
+            return jax.tree.map(lambda leaf, like: leaf[-1].astype(like.dtype), chain, particle), None
 
         position = view.coordinates.unconstrain(state)
         start = ExtendedParticle(ancestor, position, view.terms(ancestor, position), jax.tree.map(jnp.zeros_like, position))
-        last, _ = jax.lax.scan(again, start, jax.random.split(walk_key, repeated))
+        last, _ = jax.lax.scan(walk_once, start, jax.random.split(walk_key, repeated))
         return view.state(last.ancestor, last.position), last.ancestor
 
     return moved
@@ -104,13 +104,13 @@ def move_of_hmc(options: Any, transitions: int = REPEATED) -> MarkovMove:
         fresh = density.transition.sample(predict_key, parent)
         mass = inverse_mass(target, target.unconstrain(fresh), parent)
 
-        def again(position: State, turn_key: Key) -> tuple[State, None]:
+        def move_once(position: State, turn_key: Key) -> tuple[State, None]:
             step_key, chain_key = jax.random.split(turn_key)
             share = jnp.exp(jax.random.uniform(step_key, (), mass.dtype, jnp.log(SCALES[0]), jnp.log(SCALES[1])))
             chain = run_chain(chain_key, position, target, options.step * share, mass, schedule)
             return jax.tree.map(lambda leaf: leaf[-1], chain.positions), None
 
-        last, _ = jax.lax.scan(again, target.unconstrain(state), jax.random.split(walk_key, transitions))
+        last, _ = jax.lax.scan(move_once, target.unconstrain(state), jax.random.split(walk_key, transitions))
         return target.complete(ancestor_key, last)
 
     return move

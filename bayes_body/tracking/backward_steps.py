@@ -17,7 +17,7 @@ from bayes_body.density.chart import Chart
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles, State, Transition
 from bayes_body.density.kernel import NO_ANCESTOR
-from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.batching import everywhere, replicated
 from bayes_body.kernels.paths import rts
 from bayes_body.kernels.paths.ensemble import LinearPrediction, linear_prediction, regressed, replaced
 from bayes_body.kernels.paths.smoother import Moved, Moves, Smoother, adapted, whitening_of
@@ -157,7 +157,7 @@ class BackwardSteps:
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the compiled function. Its results are placed like its arguments, so that a result can be an argument later without another program."""
-    return jax.jit(function, out_shardings=whole())
+    return jax.jit(function, out_shardings=replicated())
 
 
 def _coordinates(transition: Transition, particles: Particles) -> Chart:

@@ -26,7 +26,7 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
-from bayes_body.kernels.batching import DEVICES, everywhere, whole
+from bayes_body.kernels.batching import DEVICES, everywhere, replicated
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
@@ -105,7 +105,7 @@ def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, densi
 
     frame = layout.place(np.int32(0))
     if not layout.devices:
-        return jax.jit(frame_of_run, out_shardings=whole()).lower(key, frame, particles, density)
+        return jax.jit(frame_of_run, out_shardings=replicated()).lower(key, frame, particles, density)
     keys, filters = layout.stack([key] * layout.runs, [particles] * layout.runs)
     return jax.jit(layout.spread(frame_of_runs)).lower(keys, frame, filters, density)
 

@@ -115,7 +115,7 @@ def frame_program(name: str, folder: Path):
     from bayes_body.base.errors import InputError
     from bayes_body.base.registry import find
     from bayes_body.initial import load_model
-    from bayes_body.kernels.batching import everywhere, whole
+    from bayes_body.kernels.batching import everywhere, replicated
     from bayes_body.model.build import build_model
     from bayes_body.model.definition import load_definition
     from bayes_body.model.kernel_options import kernel_options
@@ -134,7 +134,7 @@ def frame_program(name: str, folder: Path):
 
     def frame(key, index, particles, density):
         after = kernel(jax.random.fold_in(key, index), particles, density.with_previous(particles))
-        return jax.lax.with_sharding_constraint(after, whole())
+        return jax.lax.with_sharding_constraint(after, replicated())
 
     return frame, (everywhere(jax.random.key(0)), everywhere(jax.numpy.int32(1)), start, density)
 

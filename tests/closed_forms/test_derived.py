@@ -106,7 +106,7 @@ def test_a_mode_seeker_and_the_means_of_chains_keep_both_together():
 def test_the_mass_is_the_curvature_pulled_back_to_what_is_sampled(curvature):
     density, at = _density(_bent, curvature), {"u": jnp.array([0.9, 0.7])}
     target = density.unconstrained()
-    found = np.linalg.inv(jax.jit(lambda at: mass.inverse_mass(target, at, density.ancestor(0), whole=True))(at))
+    found = np.linalg.inv(jax.jit(lambda at: mass.inverse_mass(target, at, density.ancestor(0), is_dense=True))(at))
     # y_0 = u_0 + 1.5 u_1²: the first derivatives at (0.9, 0.7), not at the state before.
     row = np.array([1.0, 3.0 * 0.7])
     wanted = np.eye(2) / SD**2 + np.outer(row, row) / NOISE**2

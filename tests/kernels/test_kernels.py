@@ -17,7 +17,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.kernel import NO_ANCESTOR
 from bayes_body.density.spaces import Plate, euclidean
-from bayes_body.kernels.batching import everywhere, whole
+from bayes_body.kernels.batching import everywhere, replicated
 
 X = Variable("x")
 COUNT = 500
@@ -95,7 +95,7 @@ class Counted:
             self.traces.append(len(particles.log_weights))
             return kernel(key, particles, density)
 
-        self.step = jax.jit(counted, out_shardings=whole())
+        self.step = jax.jit(counted, out_shardings=replicated())
 
     def __call__(self, key, particles, density):
         return self.step(key, particles, density)

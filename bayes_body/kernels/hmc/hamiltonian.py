@@ -53,13 +53,13 @@ class WithAncestor(NamedTuple):
 
     Attributes:
         start: the first ancestor.
-        given: ancestor -> the log-density of a position given that ancestor.
+        conditional: ancestor -> the log-density of a position given that ancestor.
         redraw: (key, ancestor, position) -> another ancestor; leaves p(ancestor | position) invariant.
         evaluations: number of evaluations of the density per redraw.
     """
 
     start: Index
-    given: Callable[[Index], LogDensity]
+    conditional: Callable[[Index], LogDensity]
     redraw: Callable[[Key, Index, Position], Index]
     evaluations: int
 
@@ -120,7 +120,7 @@ def run_chain(
         if extended is not None:
             key, redraw_key = jax.random.split(key)
             ancestor = extended.redraw(redraw_key, ancestor, state.position)
-            target = extended.given(ancestor)
+            target = extended.conditional(ancestor)
             state = cast(Any, hmc.init)(state.position, target)
         # A matrix that does not change is factored once, before the loop.
         mass = inverse_mass if adapted.metric is None else adapted.metric.inverse_mass

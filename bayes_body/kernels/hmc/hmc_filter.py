@@ -146,9 +146,9 @@ class _Filter:
         if self.options.carry == "draws":
             return self.sample(key, density.with_previous(particles), count)
         length = self._length(count)
-        after, info = self.sample(key, density.with_previous(_chain_means(particles, length, density.transition)), count)
+        filtered, info = self.sample(key, density.with_previous(_chain_means(particles, length, density.transition)), count)
         # The first draw of a chain represents its mean.
-        return after, info._replace(ancestors=info.ancestors * length)
+        return filtered, info._replace(ancestors=info.ancestors * length)
 
     def _length(self, count: int) -> int:
         """Return the number of draws per chain: ceil(count / chains). Surplus draws of the last chain are discarded."""
@@ -166,10 +166,10 @@ class _Filter:
         keys = jax.random.split(chain_key, chains)
         batch = -(-chains // jax.device_count())
         # If each chain has its own mass matrix, each needs its own step.
-        together = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
+        chain_axes = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
         # JAX cannot check which values differ between devices in the loop of NUTS or in a sum over chains.
-        checked = self.options.sampler != "nuts" and not together
-        ran: Chain = over_particles(self._chain(length, together), (keys, begin.starts), target, batch, checked, CHAINS)
+        checked = self.options.sampler != "nuts" and not chain_axes
+        ran: Chain = over_particles(self._chain(length, chain_axes), (keys, begin.starts), target, batch, checked, CHAINS)
         draws, ancestors = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], (ran.positions, ran.ancestors))
         states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (whole_states(draws, ancestors, target), ancestors)
         by_dof = effective_draws(_reported(target, ran.positions))
@@ -207,8 +207,8 @@ class _Filter:
 
         def run(key_and_start: tuple[Key, Start], target: Unconstrained) -> Chain:
             key, start = key_and_start
-            whole = options.mass in ("curvature_matrix", "adapted")
-            mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), whole)
+            is_dense = options.mass in ("curvature_matrix", "adapted")
+            mass = inverse_mass(target, start.position, target.density.ancestor(start.ancestor), is_dense)
             if options.mass == "particles":
                 mass = correlated(mass, *_coordinates(target))
             view = with_ancestor(start, target.density, options.candidates) if compares_frames(target.density) else target

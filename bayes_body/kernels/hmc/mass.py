@@ -38,23 +38,23 @@ SHRINKAGE = 0.9
 LEAST = 0.1
 
 
-def inverse_mass(target: Unconstrained, position: State, previous: State, whole: bool = False) -> Float[Array, " dof *dof"]:
+def inverse_mass(target: Unconstrained, position: State, previous: State, is_dense: bool = False) -> Float[Array, " dof *dof"]:
     """Return M⁻¹ at a position (unconstrained coordinates), with the variables in alphabetical order.
 
     Args:
         target: the marginal view in unconstrained coordinates (`Density.unconstrained`).
         position: the start of a chain.
         previous: the state of the previous frame from which it was predicted.
-        whole: whether to return the whole matrix rather than the inverse of the diagonal.
+        is_dense: whether to return the whole matrix rather than the inverse of the diagonal.
     """
     sampled, density = target.coordinates.constrain(position), target.density
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
     if density.has_potentials or not isinstance(target.coordinates, Coordinates):
-        return _of_target(target, position, previous, variances, whole)
+        return _of_target(target, position, previous, variances, is_dense)
     curvature = _finite(offered(density, sampled, previous)) + _finite(differenced(density, sampled, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
     prior = slope * slope / variances + bend
-    if not whole:
+    if not is_dense:
         return 1 / (prior + slope * slope * jnp.maximum(jnp.diagonal(curvature), 0.0))
     # In units of the prior, the smallest eigenvalue is 1. Negative curvature is left out, since it does not belong to a peak.
     unit = jax.lax.rsqrt(prior)
@@ -63,7 +63,7 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, whole:
     return unit[:, None] * ((vectors / (1 + jnp.maximum(values, 0.0))) @ vectors.T) * unit
 
 
-def _of_target(target: Unconstrained, position: State, previous: State, variances: Float[Array, " dof"], whole: bool) -> Float[Array, " dof *dof"]:
+def _of_target(target: Unconstrained, position: State, previous: State, variances: Float[Array, " dof"], is_dense: bool) -> Float[Array, " dof *dof"]:
     """Return M⁻¹ from differences of the gradient of the whole log-density given one ancestor."""
     flat, unravel = ravel_pytree(dict(position))
     density = target.density
@@ -74,7 +74,7 @@ def _of_target(target: Unconstrained, position: State, previous: State, variance
 
     unit = jnp.sqrt(variances)
     relative = unit[:, None] * _finite(_hessian(jax.grad(log_density), flat, DIFFERENCE * unit)) * unit
-    if not whole:
+    if not is_dense:
         return variances / jnp.maximum(jnp.diagonal(relative), LEAST)
     values, vectors = jnp.linalg.eigh(relative)
     return unit[:, None] * ((vectors / jnp.maximum(values, LEAST)) @ vectors.T) * unit
@@ -83,12 +83,12 @@ def _of_target(target: Unconstrained, position: State, previous: State, variance
 def _hessian(gradient: Callable[[Array], Array], position: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
     """Return minus the derivatives of a gradient, from its differences on both sides, made symmetric."""
 
-    def along(number: Array) -> Array:
+    def row(number: Array) -> Array:
         step = jnp.zeros_like(position).at[number].set(reach[number])
-        ahead, behind = jax.lax.map(gradient, jnp.stack([position + step, position - step]))
-        return -(ahead - behind) / (2 * reach[number])
+        forward, backward = jax.lax.map(gradient, jnp.stack([position + step, position - step]))
+        return -(forward - backward) / (2 * reach[number])
 
-    rows = jax.lax.map(along, jnp.arange(position.shape[0]))
+    rows = jax.lax.map(row, jnp.arange(position.shape[0]))
     return (rows + rows.T) / 2
 
 

@@ -110,10 +110,10 @@ def _among_particles(keys: Keys, kernel: Kernel, target: Unconstrained, count: i
     previous = target.density.previous
     parents = resample(parent_key, previous.log_weights, count)
     equal = jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)
-    before = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
-    after, info = kernel(kernel_key, before, target.density)
-    chosen = resample(choose_key, after.log_weights, chains)
-    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(after.states)))
+    parent_particles = Particles(jax.tree.map(lambda leaf: leaf[parents], dict(previous.states)), equal)
+    filtered, info = kernel(kernel_key, parent_particles, target.density)
+    chosen = resample(choose_key, filtered.log_weights, chains)
+    position = jax.vmap(target.unconstrain)(jax.tree.map(lambda leaf: leaf[chosen], dict(filtered.states)))
     return Start(position, parents[info.ancestors[chosen]]), info
 
 
@@ -145,7 +145,7 @@ def whole_states(draws: State, ancestors: Int[Array, " draw"], target: Unconstra
     """Return the whole states of draws whose ancestors are known, along a leading axis."""
     transition = target.density.transition
 
-    def whole(position: State, ancestor: Index) -> State:
+    def whole_state(position: State, ancestor: Index) -> State:
         return transition.carry(target.density.ancestor(ancestor), target.constrain(position))
 
-    return jax.vmap(whole)(draws, ancestors)
+    return jax.vmap(whole_state)(draws, ancestors)

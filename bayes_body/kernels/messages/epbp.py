@@ -50,7 +50,7 @@ class Sites(NamedTuple):
 class ExpectationPropagation:
     """The method `epbp`. It remembers the sites."""
 
-    alone = True
+    is_sole_proposal = True
 
     def __init__(self, inflation: float, floors: Float[Array, " dimension"]):
         """Take the factor of the proposals' covariance, and their smallest standard deviations."""
@@ -79,8 +79,8 @@ class ExpectationPropagation:
             updated = _updated(sites._replace(reference=reference), v, factors, log_drawn, least_sds(v, self.floors))
             proposal, proper = _proposal(graph.space, updated, self.inflation, self.floors)
             moved, accepted = _moved(graph.space, updated, proposal.mean), (ready > 0) & proper
-            after = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved._replace(begun=jnp.ones_like(sites.begun)), sites)
-            return jax.tree.map(lambda proposed, fallback: jnp.where(accepted, proposed, fallback), proposal, fitted), after
+            next_sites = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved._replace(begun=jnp.ones_like(sites.begun)), sites)
+            return jax.tree.map(lambda proposed, fallback: jnp.where(accepted, proposed, fallback), proposal, fitted), next_sites
 
         return jax.vmap(of_node)(memory, beliefs.points, beliefs.log_q, factors, beliefs.ready, fits)
 

@@ -78,9 +78,9 @@ def joint_particles(key: Key, graph: Graph, redrawn: Redrawn, count: int) -> Joi
     """
     points, forest = redrawn.points, _rooted(graph)
     pairs = _forest_pairs(graph, forest, points)
-    alone = (redrawn.unary + redrawn.closing - redrawn.log_q - jnp.log(points.shape[1]))[..., None] + redrawn.by_ancestor
-    alone = jnp.where(jnp.isnan(alone), -jnp.inf, alone)
-    upward, messages = jax.lax.scan(_up, alone, (pairs, forest.parents, forest.children), reverse=True)
+    tables = (redrawn.unary + redrawn.closing - redrawn.log_q - jnp.log(points.shape[1]))[..., None] + redrawn.by_ancestor
+    tables = jnp.where(jnp.isnan(tables), -jnp.inf, tables)
+    upward, messages = jax.lax.scan(_up, tables, (pairs, forest.parents, forest.children), reverse=True)
     of_roots = jax.nn.logsumexp(upward[forest.roots], axis=1)
     of_ancestors = graph.log_ancestors + jnp.sum(of_roots, axis=0)
     # A root's own tree is counted in its table already.
@@ -118,8 +118,8 @@ def log_left_out(graph: Graph, value: Float[Array, "node *entry"]) -> Scalar:
     for number, term in enumerate(graph.pairs):
         rows = [row for row in range(len(term.plate.rows)) if (number, row) not in summed]
         if rows:
-            some = jnp.asarray(rows)
-            nodes, parameters = jnp.asarray(term.rows)[some], jax.tree.map(lambda leaf, some=some: leaf[some], term.plate.parameters)
+            index = jnp.asarray(rows)
+            nodes, parameters = jnp.asarray(term.rows)[index], jax.tree.map(lambda leaf, index=index: leaf[index], term.plate.parameters)
             total += jnp.sum(jax.vmap(term.log_potential)(parameters, value[nodes[:, 0]], value[nodes[:, 1]]))
     return total
 
@@ -181,18 +181,18 @@ class Forest(NamedTuple):
 
 def _rooted(graph: Graph) -> Forest:
     nodes_of = {(number, row): graph.pairs[number].plate.rows[row] for number, row in graph.forest()}
-    remaining, known, roots = dict(nodes_of), set[int](), list[int]()
+    remaining, visited, roots = dict(nodes_of), set[int](), list[int]()
     order: list[tuple[tuple[int, int], int, int]] = []
-    while remaining or len(known) < graph.count:
-        next_edge = next((edge for edge, nodes in remaining.items() if known & set(nodes)), None)
+    while remaining or len(visited) < graph.count:
+        next_edge = next((edge for edge, nodes in remaining.items() if visited & set(nodes)), None)
         if next_edge is None:
-            roots.append(min((node for node in range(graph.count) if node not in known), key=lambda node: (-_degree(nodes_of, node), node)))
-            known.add(roots[-1])
+            roots.append(min((node for node in range(graph.count) if node not in visited), key=lambda node: (-_degree(nodes_of, node), node)))
+            visited.add(roots[-1])
             continue
         first, second = remaining.pop(next_edge)
-        parent, child = (first, second) if first in known else (second, first)
+        parent, child = (first, second) if first in visited else (second, first)
         order.append((next_edge, parent, child))
-        known.add(child)
+        visited.add(child)
     turned = tuple(nodes_of[edge][0] != parent for edge, parent, _ in order)
     parents, children = (jnp.asarray([edge[k] for edge in order], int) for k in (1, 2))
     return Forest(tuple(edge for edge, *_ in order), turned, parents, children, jnp.asarray(roots, int))

@@ -155,9 +155,9 @@ def log_messages(
     def message(row: Int[Array, ""], shared: tuple[Array, Array, Array, Array, Term], reverse: bool) -> Array:
         points, weights, ready, targets, term = shared
         parameters = jax.tree.map(lambda leaf: leaf[row], term.plate.parameters)
-        some, log_weights = _represented(points[row], weights[row], heard)
-        known = targets[(first if reverse else second)[row]]
-        pairs = term.pairwise(parameters, known, some).T if reverse else term.pairwise(parameters, some, known)
+        source_points, log_weights = _represented(points[row], weights[row], heard)
+        target_points = targets[(first if reverse else second)[row]]
+        pairs = term.pairwise(parameters, target_points, source_points).T if reverse else term.pairwise(parameters, source_points, target_points)
         return jnp.where(ready[row] > 0, jax.nn.logsumexp(without_nan(pairs) + log_weights[:, None], axis=0), 0.0)
 
     def evaluate(reverse: bool) -> Array:
@@ -200,14 +200,14 @@ def unary_values(
         points: particles of all nodes.
         rows: for each term, the rows that are evaluated; numbers beyond the last row are padding. None: all.
     """
-    nothing = jnp.zeros(points.shape[:2], points.dtype)
-    likelihood, potential = nothing, nothing
+    zeros = jnp.zeros(points.shape[:2], points.dtype)
+    likelihood, potential = zeros, zeros
     for number, term in enumerate(graph.unaries):
         nodes = jnp.asarray(term.rows[:, 0])
-        some = jnp.arange(len(nodes)) if rows is None else rows[number]
-        chosen = jnp.minimum(some, len(nodes) - 1)
+        row_numbers = jnp.arange(len(nodes)) if rows is None else rows[number]
+        chosen = jnp.minimum(row_numbers, len(nodes) - 1)
         values = over_particles(_of_row, (chosen, points[nodes[chosen]]), term, ROWS)
-        targets = jnp.where(some < len(nodes), nodes[chosen], graph.count)
+        targets = jnp.where(row_numbers < len(nodes), nodes[chosen], graph.count)
         if term.tempered:
             likelihood = likelihood.at[targets].add(values, mode="drop")
         else:
@@ -282,8 +282,8 @@ def changes(
 ) -> Float[Array, "iteration node"]:
     """Return how far the mean of every belief moved in each iteration, in standard deviations of the belief after it; NaN in the first."""
     vectors = jnp.asarray(space.local(means[1:], means[:-1])) / (sds[1:] + TINY)
-    unknown = jnp.full_like(sds[:1, :, 0], jnp.nan)
-    return jnp.concatenate([unknown, jnp.sqrt(jnp.mean(vectors**2, axis=-1))])
+    undefined = jnp.full_like(sds[:1, :, 0], jnp.nan)
+    return jnp.concatenate([undefined, jnp.sqrt(jnp.mean(vectors**2, axis=-1))])
 
 
 def oscillation(space: Space, means: Float[Array, "iteration node *entry"], sds: Float[Array, "iteration node dimension"]) -> Float[Array, " node"]:

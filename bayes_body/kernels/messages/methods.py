@@ -66,7 +66,7 @@ class KernelEstimate:
 class BeliefKernels:
     """The method `pbp`. It remembers nothing."""
 
-    alone = True
+    is_sole_proposal = True
 
     def begin(self, graph: Graph, points: Float[Array, "node sample *entry"]) -> tuple[()]:
         """Return nothing."""
@@ -91,10 +91,10 @@ class Method(Protocol):
     """A method of particle belief propagation.
 
     Attributes:
-        alone: whether a node that has particles is drawn from the method's distribution alone.
+        is_sole_proposal: whether a node that has particles is drawn from the method's distribution alone.
     """
 
-    alone: bool
+    is_sole_proposal: bool
 
     def begin(self, graph: Graph, points: Float[Array, "node sample *entry"]) -> Any:
         """Return what the method remembers from round to round, before the first one; `points` are any points of the nodes' space."""
@@ -121,7 +121,7 @@ class Method(Protocol):
 class NormalFits:
     """The methods `mixture` and `pampas`: the normal fits themselves. They remember nothing."""
 
-    alone = False
+    is_sole_proposal = False
 
     def begin(self, graph: Graph, points: Float[Array, "node sample *entry"]) -> tuple[()]:
         """Return nothing."""

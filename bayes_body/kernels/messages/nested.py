@@ -93,19 +93,19 @@ def tree_of(graph: Graph, root: int = 0) -> Tree:
     Raises:
         InputError: the forest is not one tree, or one cannot draw along one of its edges.
     """
-    edges, known = dict[int, Edge](), {root}
+    edges, visited = dict[int, Edge](), {root}
     rows = {(number, row): graph.pairs[number].plate.rows[row] for number, row in graph.forest()}
     while True:
-        place = next((edge for edge, nodes in rows.items() if len(known & set(nodes)) == 1), None)
+        place = next((edge for edge, nodes in rows.items() if len(visited & set(nodes)) == 1), None)
         if place is None:
             break
         first, second = rows.pop(place)
-        parent, child = (first, second) if first in known else (second, first)
+        parent, child = (first, second) if first in visited else (second, first)
         edges[child] = Edge(*place, parent, child, reverse=child == first)
-        known.add(child)
-    if len(known) < graph.count:
-        alone = next(name for node, name in enumerate(graph.names) if node not in known)
-        raise input_error("nested draws", f"no edges lead from '{graph.names[root]}' to '{alone}'", "one tree", "take message passing")
+        visited.add(child)
+    if len(visited) < graph.count:
+        unreached = next(name for node, name in enumerate(graph.names) if node not in visited)
+        raise input_error("nested draws", f"no edges lead from '{graph.names[root]}' to '{unreached}'", "one tree", "take message passing")
     for edge in edges.values():
         plate = graph.pairs[edge.term].plate
         if plate.draw is None or plate.log_draw is not None:
@@ -225,15 +225,15 @@ def _limbs(
         chosen = jnp.where(goes_on & shared, jax.vmap(_systematic)(uniform, log_weights), jnp.arange(count))
         parents = jax.vmap(lambda values, index: values[index])(points, chosen)
         # Propagate
-        drawn, log_draws = _along(graph, kinds, depth, noise, parents)
+        drawn, log_draws = _draw_outer(graph, kinds, depth, noise, parents)
         # Reweight
         terms = _unary(graph, depth.unaries, drawn)
         weighted = power * terms.likelihood + terms.potential + jnp.where(shared, log_draws, 0.0)
         weighted = jnp.where(jnp.isnan(weighted), -jnp.inf, weighted)
         estimates = jnp.where(shared, jax.nn.logsumexp(weighted, axis=1, keepdims=True) - jnp.log(count), weighted)
         total += jnp.sum(jnp.where(goes_on, estimates, 0.0), axis=0)
-        ahead = goes_on.reshape(-1, *[1] * (points.ndim - 1))
-        points = jnp.where(ahead, drawn, points)
+        mask_of_depth = goes_on.reshape(-1, *[1] * (points.ndim - 1))
+        points = jnp.where(mask_of_depth, drawn, points)
         return (points, jnp.where(goes_on, weighted, log_weights), total), (points, chosen)
 
     first = start, jnp.zeros(start.shape[:2], trunks.dtype), jnp.zeros(count, trunks.dtype)
@@ -275,19 +275,19 @@ def _unary_rows(graph: Graph, nodes: Int[np.ndarray, "*place"]) -> tuple[tuple[n
     return tuple(tables)
 
 
-def _draw(term: Term, noise: _Noise, parameters: Any, known: Array, reverse: bool) -> tuple[Array, Scalar]:
+def _draw(term: Term, noise: _Noise, parameters: Any, inner: Array, reverse: bool) -> tuple[Array, Scalar]:
     """Return a draw along an edge of a term, with its log-weight."""
     if term.plate.weighted_draw is not None:
-        return term.plate.weighted_draw(noise.normals, parameters, known, reverse)
+        return term.plate.weighted_draw(noise.normals, parameters, inner, reverse)
     assert term.plate.draw is not None and noise.keys is not None
-    return term.plate.draw(noise.keys, parameters, known, reverse), jnp.zeros((), known.dtype)
+    return term.plate.draw(noise.keys, parameters, inner, reverse), jnp.zeros((), inner.dtype)
 
 
-def _along(
-    graph: Graph, kinds: Sequence[tuple[int, bool]], depth: _Depth, noise: _Noise, known: Float[Array, "limb sample *entry"]
+def _draw_outer(
+    graph: Graph, kinds: Sequence[tuple[int, bool]], depth: _Depth, noise: _Noise, inner: Float[Array, "limb sample *entry"]
 ) -> tuple[Array, Float[Array, "limb sample"]]:
     """Return draws of the outer nodes given the inner ones, and their log-weights."""
-    drawn, log_weights = known, jnp.zeros(known.shape[:2], known.dtype)
+    drawn, log_weights = inner, jnp.zeros(inner.shape[:2], inner.dtype)
     for (number, reverse), (rows, is_kind) in zip(kinds, depth.edges, strict=True):
         term = graph.pairs[number]
         parameters = jax.tree.map(lambda leaf, rows=rows: leaf[rows], term.plate.parameters)
@@ -295,8 +295,8 @@ def _along(
         def draw(noise: _Noise, parameters: Any, value: Array, term: Term = term, reverse: bool = reverse) -> tuple[Array, Scalar]:
             return _draw(term, noise, parameters, value, reverse)
 
-        values, weights = jax.vmap(jax.vmap(draw, (0, None, 0)))(noise, parameters, known)
-        drawn = jnp.where(is_kind.reshape(-1, *[1] * (known.ndim - 1)), values, drawn)
+        values, weights = jax.vmap(jax.vmap(draw, (0, None, 0)))(noise, parameters, inner)
+        drawn = jnp.where(is_kind.reshape(-1, *[1] * (inner.ndim - 1)), values, drawn)
         log_weights = jnp.where(is_kind[:, None], weights, log_weights)
     return drawn, log_weights
 

@@ -39,28 +39,30 @@ class Proposals(NamedTuple):
     Attributes:
         points: the particles of the messages' sources.
         cavities: their weights.
-        near: a distribution near each belief, stacked over the nodes.
+        belief_proposals: a distribution near each belief, stacked over the nodes.
         shares: log-shares of messages, prior, each mixture of detections, and the distribution near the belief.
         edges: for each term, the log-probability of each message among the messages to its target.
     """
 
     points: Float[Array, "node sample *entry"]
     cavities: tuple[Directed, ...]
-    near: Any
+    belief_proposals: Any
     shares: Float[Array, "node part"]
     edges: tuple[Directed, ...]
 
 
-def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], near: Any, shares: Shares, alone: bool) -> Proposals:
+def proposals(
+    graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], belief_proposals: Any, shares: Shares, is_sole_proposal: bool
+) -> Proposals:
     """Return the proposal of every node.
 
     Args:
         graph: the graph.
         beliefs: particles and messages.
         cavities: normalised log-weights for each message.
-        near: a distribution near each belief, stacked over the nodes.
+        belief_proposals: a distribution near each belief, stacked over the nodes.
         shares: the shares of a node that has all parts.
-        alone: whether `near` is the whole proposal of a node that has particles.
+        is_sole_proposal: whether `belief_proposals` are the whole proposal of a node that has particles.
     """
     degree = jnp.zeros(graph.count, beliefs.points.dtype)
     for term in graph.pairs:
@@ -76,20 +78,20 @@ def proposals(graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], ne
             jnp.log(able * beliefs.ready[second] / jnp.maximum(degree[first], 1)),
         )
 
-    none = jnp.zeros(graph.count, beliefs.points.dtype)
-    mixtures = [none if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
+    no_share = jnp.zeros(graph.count, beliefs.points.dtype)
+    mixtures = [no_share if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
     own_shares = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
-    others = [shares.messages * (degree > 0), *(share * exists for share, exists in zip(own_shares, mixtures, strict=True))]
-    remainder = 1 - beliefs.ready if alone else jnp.ones_like(none)
-    parts = [*(remainder * part for part in others), (1.0 if alone else shares.fit) * beliefs.ready]
-    table = jnp.stack([jnp.asarray(part, none.dtype) for part in parts], axis=1)
+    other_parts = [shares.messages * (degree > 0), *(share * exists for share, exists in zip(own_shares, mixtures, strict=True))]
+    remainder = 1 - beliefs.ready if is_sole_proposal else jnp.ones_like(no_share)
+    parts = [*(remainder * part for part in other_parts), (1.0 if is_sole_proposal else shares.fit) * beliefs.ready]
+    table = jnp.stack([jnp.asarray(part, no_share.dtype) for part in parts], axis=1)
     # If no part that a node has gets a share, its first particles come from prior and detections.
-    begin = jnp.stack([none, *(jnp.asarray(exists, none.dtype) for exists in mixtures), none], axis=1)
+    begin = jnp.stack([no_share, *(jnp.asarray(exists, no_share.dtype) for exists in mixtures), no_share], axis=1)
     table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
     return Proposals(
         beliefs.points,
         cavities,
-        near,
+        belief_proposals,
         jnp.log(table / jnp.maximum(jnp.sum(table, axis=1, keepdims=True), 1e-30)),
         tuple(map(probability, graph.pairs)),
     )
@@ -104,7 +106,7 @@ def draw(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array
     draws += [draws[0] if graph.prior is None else graph.prior.sample(keys[0], count)]
     draws += [mixture.sample(mixture_key, count) for mixture_key, mixture in zip(keys[1:], graph.proposals, strict=True)]
     near_keys = jax.random.split(near_key, (graph.count, count))
-    draws += [jax.vmap(lambda near, node_keys: jax.vmap(near.sample)(node_keys))(proposal.near, near_keys)]
+    draws += [jax.vmap(lambda distribution, node_keys: jax.vmap(distribution.sample)(node_keys))(proposal.belief_proposals, near_keys)]
     shape = (graph.count, count, *[1] * (proposal.points.ndim - 2))
     values = draws[0]
     for number, drawn in enumerate(draws[1:], 1):
@@ -139,17 +141,17 @@ def _from_messages(key: Key, graph: Graph, proposal: Proposals, count: int) -> F
         return index // samples, index % samples
 
     edge, particle = jax.vmap(pick)(jax.random.split(pick_key, graph.count), jnp.arange(graph.count))
-    known = proposal.points[source[edge], particle]
+    source_points = proposal.points[source[edge], particle]
     values = jnp.take(proposal.points, jnp.arange(count) % samples, axis=1)
     for (term, reverse, start), term_key in zip(parts, jax.random.split(draw_key, len(parts)), strict=True):
         rows = len(term.plate.rows)
         row = jnp.clip(edge - start, 0, rows - 1)
 
-        def draw_along(key: Key, row: Array, known: Array, term: Term = term, reverse: bool = reverse) -> Array:
+        def draw_along(key: Key, row: Array, source_point: Array, term: Term = term, reverse: bool = reverse) -> Array:
             assert term.plate.draw is not None
-            return term.plate.draw(key, jax.tree.map(lambda leaf: leaf[row], term.plate.parameters), known, reverse)
+            return term.plate.draw(key, jax.tree.map(lambda leaf: leaf[row], term.plate.parameters), source_point, reverse)
 
-        drawn = jax.vmap(jax.vmap(draw_along))(jax.random.split(term_key, (graph.count, count)), row, known)
+        drawn = jax.vmap(jax.vmap(draw_along))(jax.random.split(term_key, (graph.count, count)), row, source_points)
         mine = ((edge >= start) & (edge < start + rows)).reshape(edge.shape + (1,) * (values.ndim - 2))
         values = jnp.where(mine, drawn, values)
     return values
@@ -173,9 +175,9 @@ def log_density(
 def log_parts(
     graph: Graph, proposal: Proposals, points: Float[Array, "node draw *entry"], messages: tuple[Directed, ...], prior: NodeValues
 ) -> Float[Array, "node draw part"]:
-    """Return the terms of `log_density`: log of share times density, for messages, prior, each mixture of detections, and `near`."""
-    nothing = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
-    mixed = nothing
+    """Return the terms of `log_density`: log of share times density, for messages, prior, each mixture of detections, and `belief_proposals`."""
+    log_zero = jnp.full(points.shape[:2], -jnp.inf, points.dtype)
+    mixed = log_zero
     for number, (term, edge) in enumerate(zip(graph.pairs, proposal.edges, strict=True)):
         if term.plate.draw is None:
             continue
@@ -184,7 +186,7 @@ def log_parts(
         for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
             mixed = _log_added(mixed, node, value + log_share[:, None])
     mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
-    close = jax.vmap(lambda near, xs: jax.vmap(near.log_prob)(xs))(proposal.near, points)
+    close = jax.vmap(lambda distribution, xs: jax.vmap(distribution.log_prob)(xs))(proposal.belief_proposals, points)
     return jnp.stack([mixed, *mixtures, close], axis=-1) + proposal.shares[:, None]
 
 
@@ -194,8 +196,8 @@ def _drawn_density(term: Term, proposal: Proposals, number: int, points: Array) 
     log_draw = term.plate.log_draw
     assert log_draw is not None
 
-    def mixture(parameters: Any, known: Array, weights: Array, values: Array, reverse: bool) -> Array:
-        log_pairs = jax.vmap(lambda y: jax.vmap(lambda x: log_draw(parameters, x, y, reverse))(known))(values)
+    def mixture(parameters: Any, source_points: Array, weights: Array, values: Array, reverse: bool) -> Array:
+        log_pairs = jax.vmap(lambda y: jax.vmap(lambda x: log_draw(parameters, x, y, reverse))(source_points))(values)
         return jax.nn.logsumexp(log_pairs + weights[None], axis=1)
 
     forward = jax.vmap(lambda p, x, w, y: mixture(p, x, w, y, False))

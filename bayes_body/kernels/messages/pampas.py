@@ -75,7 +75,9 @@ class Pampas(Passing):
 
     def first(self, beliefs: Beliefs, proposal: Proposals) -> Proposals:
         """Return the proposal of particles that do not come from messages: prior and detections."""
-        return proposals(self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), proposal.cavities, proposal.near, FIRST, False)
+        return proposals(
+            self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), proposal.cavities, proposal.belief_proposals, FIRST, False
+        )
 
     def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
         """Draw the particles of all strata."""
@@ -101,8 +103,8 @@ class Pampas(Passing):
 
     def drawn(self, beliefs: Beliefs, proposal: Proposals) -> Bool[Array, " node"]:
         """Return which nodes can be drawn: those with a first proposal or a message."""
-        some = jnp.max(self.first(beliefs, proposal).shares, axis=1) > -jnp.inf
-        return some | (jnp.max(self._taken(beliefs), axis=(1, 2), initial=0.0) > 0)
+        has_proposal = jnp.max(self.first(beliefs, proposal).shares, axis=1) > -jnp.inf
+        return has_proposal | (jnp.max(self._taken(beliefs), axis=(1, 2), initial=0.0) > 0)
 
     def _taken(self, beliefs: Beliefs) -> Float[Array, "node sample slot"]:
         """Return which slots the stratum of every particle multiplies, without those whose source has no particles."""

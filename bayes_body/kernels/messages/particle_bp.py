@@ -112,13 +112,13 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
     passing = _passing(graph, options)
     begin = passing.begin(first_key)
     keys = jax.random.split(round_key, rounds.power.shape[0])
-    (beliefs, memory), before = jax.lax.scan(lambda state, turn: passing.round(state, *turn), begin, (keys, rounds))
+    (beliefs, memory), by_round = jax.lax.scan(lambda state, turn: passing.round(state, *turn), begin, (keys, rounds))
     log_beliefs, cavities = passing.weigh(beliefs, 1.0)
     proposal, _, last = passing.proposals(beliefs, memory, 1.0)
     redrawn, log_shares = passing.redraw(redraw_key, beliefs, proposal)
     joint = joint_particles(joint_key, graph, redrawn, options.particles)
     # A round summarises the beliefs that it begins with.
-    summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), before, last)
+    summaries = jax.tree.map(lambda early, late: jnp.concatenate([early[1:], late[None]]), by_round, last)
     return Passed(beliefs.points, log_beliefs, beliefs, cavities, summaries, joint, shares_of_weight(joint.log_beliefs, log_shares))
 
 
@@ -191,11 +191,11 @@ class ParticleBP:
 
     def _thinned(self, key: Key, density: Density) -> tuple[Int[Array, " ancestor"], Density]:
         """Return some of the previous frame's particles with equal weights, and the density given these."""
-        before = density.previous
-        count = min(self.options.ancestors, before.log_weights.shape[0])
-        thinned = self.resample(key, before.log_weights, count)
-        states = jax.tree.map(lambda leaf: leaf[thinned], before.states)
-        return thinned, density.with_previous(Particles(states, jnp.full((count,), -jnp.log(count), before.log_weights.dtype)))
+        previous = density.previous
+        count = min(self.options.ancestors, previous.log_weights.shape[0])
+        thinned = self.resample(key, previous.log_weights, count)
+        states = jax.tree.map(lambda leaf: leaf[thinned], previous.states)
+        return thinned, density.with_previous(Particles(states, jnp.full((count,), -jnp.log(count), previous.log_weights.dtype)))
 
 
 def build_kernel(**options: Any) -> ParticleBP:

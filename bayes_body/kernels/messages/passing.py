@@ -94,7 +94,9 @@ class Passing:
         zero = jnp.zeros((graph.count, samples), points.dtype)
         edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
         messages = tuple(Directed(edge, edge) for edge in edges)
-        last = tuple(sources(term, both, points, zero[:, 0]) for term, both in zip(graph.pairs, messages, strict=True) if self.settings.damping)
+        last = tuple(
+            sources(term, directed, points, zero[:, 0]) for term, directed in zip(graph.pairs, messages, strict=True) if self.settings.damping
+        )
         return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last)
 
     def proposals(self, beliefs: Beliefs, memory: Memory, power: float | Scalar) -> tuple[Proposals, Memory, Summary]:
@@ -104,8 +106,8 @@ class Passing:
         fits = jax.vmap(lambda points, log_weights: fit(graph.space, jnp.exp(log_weights), points, self.settings.inflation, self.floors))(
             beliefs.points, weights
         )
-        near, method_memory = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
-        proposal = proposals(graph, beliefs, cavity, near, self.settings.shares, self.method.alone)
+        belief_proposals, method_memory = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
+        proposal = proposals(graph, beliefs, cavity, belief_proposals, self.settings.shares, self.method.is_sole_proposal)
         of_messages = [jax.vmap(effective_sample_size)(log_weights) for directed in cavity for log_weights in directed]
         least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.held))
         sds = belief_sds(graph.space, jnp.exp(weights), beliefs.points, fits.mean)
@@ -125,7 +127,7 @@ class Passing:
         log_q = self.log_q(beliefs, proposal, points, arrived, prior)
         ready = jnp.where(redrawn & self.drawn(beliefs, proposal), 1.0, beliefs.ready)
         chosen = redrawn[:, None] & (ready[:, None] > 0)
-        after = Beliefs(
+        next_beliefs = Beliefs(
             points,
             jnp.where(chosen, log_q, beliefs.log_q),
             jnp.where(chosen, likelihood, beliefs.likelihood),
@@ -133,7 +135,7 @@ class Passing:
             messages,
             ready,
         )
-        return (after, memory), summary
+        return (next_beliefs, memory), summary
 
     def weigh(self, beliefs: Beliefs, power: float | Scalar) -> tuple[NodeValues, tuple[Directed, ...]]:
         """Return the normalised log-weights of the beliefs, and those of the sources of all messages."""
@@ -190,8 +192,8 @@ class Passing:
             come_from = sources(term, cavity, beliefs.points, beliefs.ready)
             return entered(new, Directed(*mixed), rows), Sources(
                 *(
-                    entered(before, Directed(*(leaf[row] for leaf, row in zip(after, indices, strict=True))), rows)
-                    for before, after in zip(last, come_from, strict=True)
+                    entered(old_leaf, Directed(*(leaf[row] for leaf, row in zip(new_leaf, indices, strict=True))), rows)
+                    for old_leaf, new_leaf in zip(last, come_from, strict=True)
                 )
             )
 

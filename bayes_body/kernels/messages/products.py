@@ -69,14 +69,14 @@ def slots_of(graph: Graph) -> Int[np.ndarray, "node slot"]:
 def draw_products(key: Key, graph: Graph, product: Product, otherwise: Float[Array, "node sample *entry"]) -> Float[Array, "node sample *entry"]:
     """Return one draw from every sample's product, or the value of `otherwise` if the product has no factors."""
     label_key, start_key, normal_key, key = jax.random.split(key, 4)
-    samples, some = otherwise.shape[1], jnp.max(product.taken, axis=2) > 0
+    samples, has_product = otherwise.shape[1], jnp.max(product.taken, axis=2) > 0
     first = jnp.argmax(product.taken, axis=2)
     labels = jax.vmap(lambda key, w: jax.random.categorical(key, w, shape=(samples,)))(
         jax.random.split(label_key, len(product.weights)), product.weights
     )
     start = _into(product, _drawn(start_key, graph, product, labels))
     start = jnp.take_along_axis(start, first.reshape(*first.shape, 1, *[1] * (start.ndim - 3)), axis=2)[:, :, 0]
-    shape = some.reshape(*some.shape, *[1] * (otherwise.ndim - 2))
+    shape = has_product.reshape(*has_product.shape, *[1] * (otherwise.ndim - 2))
     normals = _normals(normal_key, graph, product)
 
     def sweep(x: Array, key: Key) -> tuple[Array, None]:
@@ -128,7 +128,7 @@ def _drawn(key: Key, graph: Graph, product: Product, labels: Int[Array, "message
     def along_edge(way: Way, parameters: Any, keys: Array, points: Array, labels: Array) -> Array:
         draw = way.term.plate.draw
         assert draw is not None
-        return jax.vmap(lambda key, known: draw(key, parameters, known, way.reverse))(keys, points[labels])
+        return jax.vmap(lambda key, source_point: draw(key, parameters, source_point, way.reverse))(keys, points[labels])
 
     return _per_message(graph, along_edge, jax.random.split(key, labels.shape), product.points, labels)
 
@@ -182,9 +182,9 @@ def _log_factors(
     def log_factors(way: Way, parameters: Any, points: Array, labels: Array, target: Array) -> Array:
         log_potential = way.term.log_potential
         turned = (
-            (lambda known, point: log_potential(parameters, point, known))
+            (lambda source_point, point: log_potential(parameters, point, source_point))
             if way.reverse
-            else (lambda known, point: log_potential(parameters, known, point))
+            else (lambda source_point, point: log_potential(parameters, source_point, point))
         )
         return jax.vmap(turned)(points[labels], target)
 

@@ -102,8 +102,8 @@ def regressed(
     unwound = jax.vmap(flat.unwound)(chosen)
     u = jax.vmap(flat.vector_of_state)(chosen)
     v = jax.vmap(lambda key, state: _predicted(key, state, transition, chart, frames))(jax.random.split(key, len(indices)), unwound)
-    ahead = jax.vmap(jax.vmap(flat.vector))(nexts.sampled).reshape(v.shape)
-    return jax.vmap(flat.sampled)(u + (ahead - v) @ prediction.of_known(nexts.exists[0]).gain().T)
+    next_vectors = jax.vmap(jax.vmap(flat.vector))(nexts.sampled).reshape(v.shape)
+    return jax.vmap(flat.sampled)(u + (next_vectors - v) @ prediction.of_known(nexts.exists[0]).gain().T)
 
 
 def linear_prediction(key: Key, particles: Particles, transition: Transition, chart: Chart, frames: int) -> LinearPrediction:

@@ -75,9 +75,9 @@ def gaussian_path(values: Float[np.ndarray, "path frame dof"], memory: int) -> G
     centred, precision = values - mean, np.zeros((frames * dofs,) * 2)
     for frame in range(frames):
         first = max(frame - memory, 0)
-        before = centred[:, first:frame].reshape(paths, -1)
-        weights, known = _regression(before, centred[:, frame])
-        residual = _covariance(centred[:, frame] - before @ weights, paths - 1 - known)
+        history = centred[:, first:frame].reshape(paths, -1)
+        weights, estimated = _regression(history, centred[:, frame])
+        residual = _covariance(centred[:, frame] - history @ weights, paths - 1 - estimated)
         row = np.concatenate([-weights.T, np.eye(dofs)], axis=1)
         part = slice(first * dofs, (frame + 1) * dofs)
         precision[part, part] += row.T @ np.linalg.solve(residual, row)
@@ -85,12 +85,12 @@ def gaussian_path(values: Float[np.ndarray, "path frame dof"], memory: int) -> G
 
 
 def _regression(
-    before: Float[np.ndarray, "path predictor"], current: Float[np.ndarray, "path dof"]
+    history: Float[np.ndarray, "path predictor"], current: Float[np.ndarray, "path dof"]
 ) -> tuple[Float[np.ndarray, "predictor dof"], int]:
     """Return the weights of the predictors, and how many of them were estimated."""
-    (paths, predictors), dofs = before.shape, current.shape[1]
+    (paths, predictors), dofs = history.shape, current.shape[1]
     if paths > PATHS_PER_PREDICTOR * predictors:
-        return np.linalg.lstsq(before, current, rcond=None)[0], predictors
+        return np.linalg.lstsq(history, current, rcond=None)[0], predictors
     return np.concatenate([np.zeros((predictors - dofs, dofs)), np.eye(dofs)]), 0
 
 

@@ -78,14 +78,14 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
     def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         count = particles.log_weights.shape[0]
 
-        def layer(before: _Layer, step: tuple[Key, Index, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
+        def layer(previous_layer: _Layer, step: tuple[Key, Index, Scalar]) -> tuple[_Layer, tuple[Scalar, Scalar]]:
             layer_key, index, scale = step
             select_key, cross_key, move_key = jax.random.split(layer_key, 3)
-            chosen = resample(select_key, before.log_weights)
-            parents = jax.tree.map(lambda leaf: leaf[chosen], before.states)
+            chosen = resample(select_key, previous_layer.log_weights)
+            parents = jax.tree.map(lambda leaf: leaf[chosen], previous_layer.states)
             rate = jnp.where(index > 0, crossover_rate, 0.0)
-            parents = _cross_over(cross_key, parents, before, resample, rate, density.transition)
-            ancestors = before.ancestors[chosen]
+            parents = _cross_over(cross_key, parents, previous_layer, resample, rate, density.transition)
+            ancestors = previous_layer.ancestors[chosen]
             previous = jax.tree.map(lambda leaf: leaf[ancestors], particles.states)
             keys = jax.random.split(move_key, count)
             moved: Weighed = over_particles(_move_and_weigh, (keys, parents, previous), (density, index, scale))
@@ -94,7 +94,7 @@ def build_kernel(layers: int = 5, survival_rate: float = 0.5, crossover_rate: fl
             beta = _power_for_survival(annealed, moved.log_constraints, survival_rate)
             weights = normalise(beta * annealed + moved.log_constraints)
             rate_reached = effective_sample_size(weights.log_weights) / count
-            return _Layer(moved.states, weights.log_weights, ancestors, before.lost | weights.lost), (beta, rate_reached)
+            return _Layer(moved.states, weights.log_weights, ancestors, previous_layer.lost | weights.lost), (beta, rate_reached)
 
         keys = jax.random.split(key, layers)
         start = _Layer(particles.states, particles.log_weights, jnp.arange(count), jnp.array(False))
@@ -120,19 +120,19 @@ def _move_and_weigh(particle: tuple[Key, State, State], shared: tuple[Density, I
     density, index, scale = shared
     transition = density.transition
     if transition.explore is None:
-        first, later = dict(transition.conditional(previous)), dict(transition.perturbation(parent, scale))
-        if jax.tree.structure(first) == jax.tree.structure(later):
+        first, perturbed = dict(transition.conditional(previous)), dict(transition.perturbation(parent, scale))
+        if jax.tree.structure(first) == jax.tree.structure(perturbed):
             # One draw instead of two: each occurrence of a random generator adds to the compile time.
-            chosen = jax.tree.map(lambda prior, noise: jnp.where(index == 0, prior, noise), first, later)
+            chosen = jax.tree.map(lambda prior, noise: jnp.where(index == 0, prior, noise), first, perturbed)
             return weigh(transition.state(previous, draw(key, chosen)), previous, density)
     state = jax.lax.cond(index == 0, lambda: transition.enter(key, previous), lambda: transition.perturb(key, parent, previous, scale))
     return weigh(state, previous, density)
 
 
-def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, rate: Scalar, transition: Transition) -> State:
+def _cross_over(key: Key, parents: State, layer: _Layer, resample: Resample, rate: Scalar, transition: Transition) -> State:
     second_key, shuffle_key, interval_key, share_key = jax.random.split(key, 4)
     # Systematic draws come in the order of the particles. Without the shuffle, a particle would be crossed with itself.
-    second = jax.random.permutation(shuffle_key, resample(second_key, before.log_weights))
+    second = jax.random.permutation(shuffle_key, resample(second_key, layer.log_weights))
     takes_part = jax.random.uniform(share_key, second.shape) < rate
 
     def cross(name: str, first: Array, partner: Array) -> Array:
@@ -143,7 +143,7 @@ def _cross_over(key: Key, parents: State, before: _Layer, resample: Resample, ra
         return jnp.where(swapped.reshape(first.shape), partner, first)
 
     keys = dict(zip(sorted(parents), jax.random.split(interval_key, len(parents)), strict=True))
-    return {name: cross(name, leaf, before.states[name][second]) for name, leaf in parents.items()}
+    return {name: cross(name, leaf, layer.states[name][second]) for name, leaf in parents.items()}
 
 
 def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, survival_rate: float) -> Scalar:

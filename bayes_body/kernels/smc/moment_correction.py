@@ -62,8 +62,8 @@ def corrected_moments(draws: Float[Array, "draw dof"], log_weights: LogWeights, 
     precisions = jnp.clip(precisions, *FACTORS)
     shift = ((weights @ steep @ axes / (1 + epsilon)) @ directions / precisions) @ directions.T
     covariance = (directions / precisions) @ directions.T
-    across = root @ axes
-    return Moments(mean + across @ shift, _root(across @ covariance @ across.T))
+    rotated_root = root @ axes
+    return Moments(mean + rotated_root @ shift, _root(rotated_root @ covariance @ rotated_root.T))
 
 
 def moments(draws: Float[Array, "draw dof"], log_weights: LogWeights) -> Moments:

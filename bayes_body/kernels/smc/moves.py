@@ -34,12 +34,12 @@ JITTER = (0.6, 1.4)
 GAIN = 1.0
 
 
-def check_gradients(density: Density, what: str, alternative: str = "") -> None:
+def check_gradients(density: Density, user: str, alternative: str = "") -> None:
     """Raise an error unless every likelihood has a gradient.
 
     Args:
         density: the density of a frame.
-        what: what needs the gradient, in the user's terms.
+        user: what needs the gradient, in the user's terms.
         alternative: a further remedy besides a look-up with a gradient.
 
     Raises:
@@ -47,7 +47,7 @@ def check_gradients(density: Density, what: str, alternative: str = "") -> None:
     """
     if density.without_gradient:
         problem, remedy = f"'{density.without_gradient[0]}' has no gradient", f'set its lookup = "bilinear"{alternative}'
-        raise input_error("the likelihood", problem, f"a likelihood with a gradient, for {what}", remedy)
+        raise input_error("the likelihood", problem, f"a likelihood with a gradient, for {user}", remedy)
 
 
 class Moved(NamedTuple):
@@ -103,14 +103,14 @@ def hmc(leapfrog_steps: int) -> Move:
             (log_density, terms), slope = jax.value_and_grad(target, has_aux=True)(position)
             # Half a kick at each end, and whole kicks in between. The energy is computed after the first half of a kick.
             ends = (k == 0) | (k == leapfrog_steps)
-            half = _along(momentum, slope, size / 2)
+            half = _shifted(momentum, slope, size / 2)
             point = _Point(position, log_density - _kinetic(jax.tree.map(lambda p, h: jnp.where(k == 0, p, h), momentum, half)), terms, slope)
             kicked = jax.tree.map(lambda h, g: jnp.where(ends, h, h + size / 2 * g), half, slope)
-            onward = _along(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
+            onward = _shifted(position, kicked, jnp.where(k == leapfrog_steps, 0.0, size))
             return onward, kicked, jax.tree.map(lambda new, old: jnp.where(k == 0, new, old), point, first), point
 
-        unknown = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
-        unvisited = _Point(position, unknown, LogTerms(unknown, unknown), dict(position))
+        nan = varying_like(jnp.full_like(_kinetic(position), jnp.nan), position)
+        unvisited = _Point(position, nan, LogTerms(nan, nan), dict(position))
         start = position, momentum, unvisited, unvisited
         *_, first, last = jax.lax.fori_loop(0, leapfrog_steps + 1, visit, start)
         return _accept(accept, first, last)
@@ -123,10 +123,10 @@ def random_walk() -> Move:
 
     def step(key: Key, position: Position, target: Target, step_size: Scalar) -> Moved:
         direction, (accept,) = _random(key, position, 1)
-        proposed = _along(position, direction, step_size)
-        both = jax.tree.map(lambda current, proposal: jnp.stack([current, proposal]), dict(position), proposed)
-        log_densities, terms = jax.lax.map(target, both)
-        points = _Point(both, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), both))
+        proposed = _shifted(position, direction, step_size)
+        candidates = jax.tree.map(lambda current, proposal: jnp.stack([current, proposal]), dict(position), proposed)
+        log_densities, terms = jax.lax.map(target, candidates)
+        points = _Point(candidates, log_densities, terms, jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), candidates))
         first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], points) for k in (0, 1))
         return _accept(accept, first, last)
 
@@ -154,7 +154,7 @@ def _random(key: Key, like: Position, levels: int) -> tuple[dict[str, Array], Fl
     return form(normals[: joined.size]), jax.scipy.special.ndtr(normals[joined.size :])
 
 
-def _along(position: Position, direction: Position, size: Scalar | float) -> dict[str, Array]:
+def _shifted(position: Position, direction: Position, size: Scalar | float) -> dict[str, Array]:
     return {name: value + size * direction[name] for name, value in position.items()}
 
 
@@ -216,8 +216,8 @@ def walk(
         return {name: jax.scipy.linalg.solve_triangular(roots[name], x, lower=True, trans=transposed) for name, x in sorted(values.items())}
 
     def advance(whitened: State, move_key: Key) -> tuple[State, tuple[dict[str, Array], LogTerms, dict[str, Array], Scalar]]:
-        after = move.step(move_key, whitened, target, settings.step_size)
-        return after.position, (coordinates(after.position), after.terms, solved(after.slope, 1), after.acceptance_rate)
+        moved = move.step(move_key, whitened, target, settings.step_size)
+        return moved.position, (coordinates(moved.position), moved.terms, solved(moved.slope, 1), moved.acceptance_rate)
 
     _, (chain, terms, slopes, rates) = jax.lax.scan(advance, solved(particle.position, 0), jnp.stack(move_keys))
     return ExtendedParticle(jnp.broadcast_to(ancestor, (moves,)), chain, terms, slopes), jnp.mean(rates), jnp.mean(rates == 0)

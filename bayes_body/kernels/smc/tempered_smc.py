@@ -112,8 +112,8 @@ def build_kernel(frozen_at: Ladder | None = None, **options: Any) -> Kernel:
     with_ladder = build_ladder_kernel(frozen_at, **options)
 
     def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
-        after, info, _ = with_ladder(key, particles, density)
-        return after, info
+        filtered, info, _ = with_ladder(key, particles, density)
+        return filtered, info
 
     return kernel
 
@@ -145,7 +145,7 @@ class _Sampler:
             raise input_error("tempered(waste_free=true)", problem, expected, "change the particles or the moves")
         start, predicted, lost, view = self._begin(start_key, density.with_previous(particles))
         # In the loop, the first step shares the program of the stages. With waste-free moves its shapes differ, so it comes before the loop.
-        first = self._step(jax.random.fold_in(stages_key, 0), start, _still, count) if self.options.waste_free else start
+        first = self._step(jax.random.fold_in(stages_key, 0), start, _unmoved, count) if self.options.waste_free else start
 
         def unfinished(state: TemperedState) -> Array:
             if self.frozen is not None:
@@ -153,8 +153,8 @@ class _Sampler:
             return (~is_at_top(state.powers) | (state.stages_at_top < self.options.final_stages)) & ~lost
 
         last = jax.lax.while_loop(unfinished, lambda state: self._stage(jax.random.fold_in(stages_key, state.stage), state, view), first)
-        after, info = self._result(end_key, view, last, predicted, lost)
-        return after, info, last.ladder
+        filtered, info = self._result(end_key, view, last, predicted, lost)
+        return filtered, info, last.ladder
 
     # -- stages -------------------------------------------------------------------------------------------------------------------------
 
@@ -181,7 +181,7 @@ class _Sampler:
 
         def move(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
             if not self.options.waste_free:
-                return jax.lax.cond(state.stage == 0, _still, lambda keys, parents: self._moved(keys, parents, view, settings), keys, parents)
+                return jax.lax.cond(state.stage == 0, _unmoved, lambda keys, parents: self._moved(keys, parents, view, settings), keys, parents)
             chains, (accepted, impossible) = self._moved(keys, parents, view, settings)
             join = jax.tree.map(lambda parent, chain: jnp.concatenate([parent, chain.reshape(-1, *parent.shape[1:])]), parents, chains)
             return join, (accepted, impossible)
@@ -202,25 +202,25 @@ class _Sampler:
             increments = step.likelihood * particles.terms.likelihood + step.potential * particles.terms.potential
             return jnp.where(keeps_weights, state.log_weights, increments)
 
-        after = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
-        step = self._increment(after.particles.terms, state)
+        reweighted = feynman_kac_step(key, state.particles, state.log_weights, move, log_potential, resample, resampled)
+        step = self._increment(reweighted.particles.terms, state)
         reached = jax.tree.map(jnp.add, state.powers, step)
         # If rounding in float32 left the sum just below 1, that would cost one more stage.
         reached = jax.tree.map(lambda power: jnp.where(power > 1 - 1e-6, 1.0, power), reached)
-        acceptance, impossible = (jnp.asarray(rate, state.log_step_size.dtype) for rate in after.info)
+        acceptance, impossible = (jnp.asarray(rate, state.log_step_size.dtype) for rate in reweighted.info)
         return TemperedState(
-            particles=after.particles,
-            log_weights=after.log_weights,
+            particles=reweighted.particles,
+            log_weights=reweighted.log_weights,
             powers=reached,
             stage=stage + 1,
             stages_at_top=state.stages_at_top + at_top,
-            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, after.log_increment - potentials_share(step, after.particles.terms)),
+            log_evidence=state.log_evidence + jnp.where(at_top, 0.0, reweighted.log_increment - potentials_share(step, reweighted.particles.terms)),
             log_step_size=self.move.adapt(state.log_step_size, acceptance),
             ladder=state.ladder.with_powers(stage, reached),
-            survival_rates=state.survival_rates.at[stage].set(effective_sample_size(after.log_weights) / count),
+            survival_rates=state.survival_rates.at[stage].set(effective_sample_size(reweighted.log_weights) / count),
             acceptance_rates=state.acceptance_rates.at[stage].set(acceptance),
             impossible=impossible,
-            finals=state.finals.with_stage(state.stages_at_top, at_top, after.particles),
+            finals=state.finals.with_stage(state.stages_at_top, at_top, reweighted.particles),
         )
 
     def _increment(self, terms: LogTerms, state: TemperedState) -> LogTerms:
@@ -276,10 +276,10 @@ class _Sampler:
         else:
             states = jax.vmap(view.state)(ancestors, positions)
         posterior = Particles(states, normalise(last.log_weights).log_weights)
-        after = jax.tree.map(lambda prediction, filtered: jnp.where(lost, prediction, filtered), predicted, posterior)
+        particles = jax.tree.map(lambda prediction, filtered: jnp.where(lost, prediction, filtered), predicted, posterior)
         info = FilterInfo(
             ancestors=ancestors,
-            ess=effective_sample_size(after.log_weights),
+            ess=effective_sample_size(particles.log_weights),
             survival_rate=last.survival_rates,
             inverse_temperatures=last.ladder.inverse_temperatures,
             log_evidence=jnp.where(lost, -jnp.inf, last.log_evidence),
@@ -287,7 +287,7 @@ class _Sampler:
             acceptance_rate=last.acceptance_rates,
             evaluations=self._evaluations(last),
         )
-        return after, info
+        return particles, info
 
     def _evaluations(self, last: TemperedState) -> Array:
         """Return the number of evaluations in the prediction and in the moves of all stages."""
@@ -296,7 +296,7 @@ class _Sampler:
         return count + (last.stage - 1) * moved * options.moves * self.move.evaluations
 
 
-def _still(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
+def _unmoved(keys: Keys, parents: ExtendedParticle) -> tuple[ExtendedParticle, tuple[Scalar, Scalar]]:
     """Move nothing, as in stage 0: no move has been accepted or refused."""
     dtype = parents.terms.likelihood.dtype
     return parents, (jnp.full((), jnp.nan, dtype), jnp.zeros((), dtype))

@@ -159,14 +159,14 @@ def init_state(
         finals: the number of stages at the posterior itself whose positions and slopes are kept.
     """
     dtype = log_weights.dtype
-    unknown = jnp.full((stages,), jnp.nan, dtype)
+    nan = jnp.full((stages,), jnp.nan, dtype)
     roots = {name: jnp.full((stages, x.shape[1], x.shape[1]), jnp.nan, dtype) for name, x in particles.position.items()}
     log_step_size = jnp.log(jnp.asarray(step_size(sum(x.shape[1] for x in particles.position.values())), dtype))
-    zero, none = jnp.zeros((), dtype), jnp.zeros((), int)
-    powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(unknown, unknown, unknown, roots)
+    zero, no_stage = jnp.zeros((), dtype), jnp.zeros((), int)
+    powers, ladder = LogTerms(zero, jnp.full((), potential_power, dtype)), Ladder(nan, nan, nan, roots)
     dofs = sum(x.shape[1] for x in particles.position.values())
     empty = jnp.zeros((finals, log_weights.shape[0], dofs), dtype)
-    return TemperedState(particles, log_weights, powers, none, none, zero, log_step_size, ladder, unknown, unknown, zero, Finals(empty, empty))
+    return TemperedState(particles, log_weights, powers, no_stage, no_stage, zero, log_step_size, ladder, nan, nan, zero, Finals(empty, empty))
 
 
 def corrected_positions(last: TemperedState) -> dict[str, Array]:
@@ -223,5 +223,5 @@ def feynman_kac_step(
         return move(keys, parents)
 
     # blackjax calls the functions with these arguments, although it declares others.
-    after, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
-    return Reweighted(after.particles, jnp.log(after.weights), info.log_likelihood_increment, info.update_info)
+    next_state, info = cast(Any, base.step)(key, state, update, log_potential, ancestors, resampled)
+    return Reweighted(next_state.particles, jnp.log(next_state.weights), info.log_likelihood_increment, info.update_info)
