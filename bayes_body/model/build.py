@@ -116,7 +116,7 @@ class Model:
     def beginning_at(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "Model":
         """Return the same model with another first pose, or with several equally likely ones of which `pose` is the main one."""
         dtype = self.body.lengths.dtype
-        return replace(self, first=self.first.around(jnp.asarray(pose, dtype), None if draws is None else jnp.asarray(draws, dtype)))
+        return replace(self, first=self.first.centred_on(jnp.asarray(pose, dtype), None if draws is None else jnp.asarray(draws, dtype)))
 
     @property
     def first_pose(self) -> Pose:

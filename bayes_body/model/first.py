@@ -49,7 +49,7 @@ class First(NamedTuple):
         """Whether the first state is certain."""
         return self.draws is None and self.transition.first is None and not bool((np.asarray(self.sd) > 0).any())
 
-    def around(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
+    def centred_on(self, pose: Pose, draws: Float[Array, "draw dof"] | None = None) -> "First":
         """Return the distribution around another pose, or around several of which it is the most likely one."""
         return self._replace(pose=pose, mode=self.transition.begin({"pose": pose}), draws=draws)
 

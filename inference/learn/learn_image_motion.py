@@ -119,7 +119,7 @@ def _pair(model: Model, session: Session, index: int, angles: Float[np.ndarray, 
     data = jax.tree.map(jnp.asarray, model.observe(frame)[factor.name])
     pose, before = (jnp.asarray(angles[number], model.body.lengths.dtype) for number in (index, index - 1))
     compared = _compared(potential, pose, before, data)
-    shown = np.asarray(compared.visibility) * np.asarray(data.both)[:, None, None] > 0
+    shown = np.asarray(compared.visibility) * np.asarray(data.has_both_frames)[:, None, None] > 0
     return Pair(np.asarray(compared.difference)[shown], np.asarray(compared.cosine)[shown], potential, data, (pose, before))
 
 

@@ -79,7 +79,7 @@ def solids_in_parts(body: Body) -> Transform:
     """Return `T_part_solid` of every solid of a body that is placed by parts: rotations (solid, 3, 3) and origins (solid, 3), metres."""
     placement = body.placement
     assert isinstance(placement, ByParts)
-    return transforms.compose(transforms.pick(placement.held, np.array(body.topology.joints)), Transform(body.presets, body.offsets))
+    return transforms.compose(transforms.pick(placement.T_part_joint, np.array(body.topology.joints)), Transform(body.presets, body.offsets))
 
 
 def joint_transforms(body: Body, configuration: Configuration) -> Transform:

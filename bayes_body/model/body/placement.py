@@ -58,7 +58,7 @@ class ByAngles:
         return pose
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["names", "parents", "owners", "joints_of_parts"], data_fields=["held"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["names", "parents", "owners", "joints_of_parts"], data_fields=["T_part_joint"])
 @dataclass(frozen=True)
 class ByParts:
     """A configuration is the frame of every part in the world: (part, 7), metres and unit quaternions.
@@ -70,14 +70,14 @@ class ByParts:
         parents: for each part the part to which it is attached, which comes earlier; -1 for the first.
         owners: for each joint of the skeleton the part that holds it.
         joints_of_parts: for each part its own joint.
-        held: `T_part_joint` of every joint in the part that holds it.
+        T_part_joint: the transform of every joint in the part that holds it.
     """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
     owners: tuple[int, ...]
     joints_of_parts: tuple[int, ...]
-    held: Transform
+    T_part_joint: Transform
 
     @property
     def variable(self) -> str:
@@ -87,7 +87,7 @@ class ByParts:
     def joints(self, skeleton: Skeleton, configuration: Configuration) -> Transform:
         """Return `T_world_joint`: each joint moves with the part that holds it."""
         del skeleton
-        return transforms.compose(transforms.pick(rigid.to_transform(configuration), np.array(self.owners)), self.held)
+        return transforms.compose(transforms.pick(rigid.to_transform(configuration), np.array(self.owners)), self.T_part_joint)
 
     def configuration(self, skeleton: Skeleton, pose: Pose) -> Configuration:
         """Return the frames of the parts of a body with these joint angles. Joints between parts that do not move count as bent by 0."""

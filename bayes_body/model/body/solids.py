@@ -84,7 +84,7 @@ class Body:
         return self.placement.variable
 
     @property
-    def seen(self) -> "Shapes":
+    def shapes(self) -> "Shapes":
         """What cameras see of its parts."""
         is_sphere = device_array(self.topology.is_sphere, bool) if any(self.topology.is_sphere) else None
         return Shapes(self.lengths, self.outline_radii, self.sections, is_sphere)
@@ -126,14 +126,14 @@ class Patches(NamedTuple):
     """The four vectors V0..V3 of every part for one viewpoint, metres: `V0 + t V1 + s V2 + t s V3` is a point on the patch that faces it."""
 
     start: Float[Array, "part 3"]
-    along: Float[Array, "part 3"]
-    across: Float[Array, "part 3"]
+    axis: Float[Array, "part 3"]
+    half_width: Float[Array, "part 3"]
     taper: Float[Array, "part 3"]
 
 
 def patches(body: Body, T_world_part: Transform, viewpoint: Vector3) -> Patches:
     """The visible patch of every part, for a `viewpoint` (metres, world)."""
-    return shape_patches(body.seen, T_world_part, viewpoint)
+    return shape_patches(body.shapes, T_world_part, viewpoint)
 
 
 def shape_patches(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -> Patches:
@@ -141,8 +141,8 @@ def shape_patches(shapes: Shapes, T_world_part: Transform, viewpoint: Vector3) -
     base = T_world_part.origin
     # Base and tip differ along the axis only, so the direction to the contour is the same at both ends.
     side = _side(shapes, T_world_part, base - viewpoint)
-    near, far = shapes.radii[:, :1], shapes.radii[:, 1:]
-    cylinders = Patches(base, shapes.lengths[:, None] * T_world_part.z, side * near, side * (far - near))
+    base_radii, tip_radii = shapes.radii[:, :1], shapes.radii[:, 1:]
+    cylinders = Patches(base, shapes.lengths[:, None] * T_world_part.z, side * base_radii, side * (tip_radii - base_radii))
     if shapes.is_sphere is None:
         return cylinders
     discs = _discs(shapes, T_world_part, viewpoint)
@@ -197,8 +197,8 @@ def facing_discs(shapes: Body | Shapes, T_world_part: Transform, viewpoint: Vect
     centre = T_world_part.origin + 0.5 * shapes.lengths[:, None] * T_world_part.z
     view = transforms.unit(centre - viewpoint)
     # For a view along the part's z, the disc is spanned from its x: the vectors change, the disc does not.
-    along = (jnp.abs(transforms.dot(view, T_world_part.z)) > 0.9)[:, None]
-    right = transforms.unit(jnp.cross(jnp.where(along, T_world_part.x, T_world_part.z), view))
+    is_end_on = (jnp.abs(transforms.dot(view, T_world_part.z)) > 0.9)[:, None]
+    right = transforms.unit(jnp.cross(jnp.where(is_end_on, T_world_part.x, T_world_part.z), view))
     return Discs(centre, right, jnp.cross(view, right))
 
 
@@ -214,9 +214,9 @@ def outline_samples(body: Body, per_side: int) -> Samples:
     return _samples(body, (np.arange(per_side) + 0.5) / per_side, np.array([-1.0, 1.0]))
 
 
-def surface_samples(body: Body, along: int, across: int) -> Samples:
+def surface_samples(body: Body, steps_along: int, steps_across: int) -> Samples:
     """A grid of `along * across` points on the patch that faces the camera, half a step away from its edge."""
-    return _samples(body, (np.arange(along) + 0.5) / along, (2 * np.arange(across) + 1) / across - 1)
+    return _samples(body, (np.arange(steps_along) + 0.5) / steps_along, (2 * np.arange(steps_across) + 1) / steps_across - 1)
 
 
 def _samples(body: Body, t: np.ndarray, s: np.ndarray) -> Samples:
@@ -281,9 +281,9 @@ def _sphere_pairs(body: Body, T_world_part: Transform) -> tuple[Float[Array, "xy
     for side in (0, 1):
         chosen[pairs[:, side], side, np.arange(len(pairs))] = True
     # A product with ones and zeros: exact, and with its transpose much faster than picking the columns.
-    both = jnp.dot(table.reshape(-1, table.shape[-1]), jnp.asarray(chosen.reshape(len(chosen), -1), table.dtype), precision="highest")
-    both = jax.lax.optimization_barrier(both.reshape(*table.shape[:2], 2, count))
-    return both[:, :, 0], both[:, :, 1]
+    selected = jnp.dot(table.reshape(-1, table.shape[-1]), jnp.asarray(chosen.reshape(len(chosen), -1), table.dtype), precision="highest")
+    selected = jax.lax.optimization_barrier(selected.reshape(*table.shape[:2], 2, count))
+    return selected[:, :, 0], selected[:, :, 1]
 
 
 def _sphere_depth(a: Float[Array, "xyzr pair"], b: Float[Array, "xyzr pair"]) -> Float[Array, " pair"]:

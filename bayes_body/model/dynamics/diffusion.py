@@ -103,10 +103,10 @@ def _key_of(name: str, table: Mapping[str, float]) -> str | None:
     return name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
 
 
-def _check_keys(table: Mapping[str, float], names: tuple[str, ...], field: str, what: str) -> None:
+def _check_keys(table: Mapping[str, float], names: tuple[str, ...], field: str, kind: str) -> None:
     for key in table:
         if not any(fnmatchcase(name, key) for name in names):
-            raise InputError(f"{field}.{key}: matches no {what} of the body; {nearest(key, names)}")
+            raise InputError(f"{field}.{key}: matches no {kind} of the body; {nearest(key, names)}")
 
 
 # Its dofs, in order: shifts along x, y, z, then rotations about z (yaw), x, y. The second entry says whether it is a shift.
@@ -114,12 +114,12 @@ ROOT = ((0, True), (1, True), (2, True), (2, False), (0, False), (1, False))
 ROOT_DOFS = len(ROOT)
 
 
-def check_root(body: Body, what: str) -> None:
+def check_root(body: Body, user: str) -> None:
     """Check that the dofs of a body's first joint are its position and orientation in the world.
 
     Args:
         body: the body.
-        what: what needs these dofs, such as "dynamics walking_cycle".
+        user: what needs these dofs, such as "dynamics walking_cycle".
 
     Raises:
         InputError: the first joint has other dofs.
@@ -128,7 +128,7 @@ def check_root(body: Body, what: str) -> None:
     root = tuple((motion.axis, motion.is_shift) for motion in topology.motions[0] if motion.sign == 1)
     if root != ROOT or [motion.dof for motion in topology.motions[0]] != list(range(ROOT_DOFS)):
         problem = f"the first joint of the body '{body.name}' is {topology.joint_names[0]}, with other dofs"
-        raise input_error(what, problem, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")
+        raise input_error(user, problem, "a first joint with the dofs tx, ty, tz, z, x, y in this order", "name another body")
 
 
 ROOT_HALF = math.sqrt(0.5)

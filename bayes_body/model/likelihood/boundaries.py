@@ -70,8 +70,8 @@ def boundaries(body: Body, rig: Camera, contour: Contour, in_camera: RigPatches,
 def _direction(camera: Camera, in_camera: Float[Array, "4 part 3"], contour: Contour) -> tuple[Float[Array, "part sample"], tuple[Array, Array]]:
     """Depth of each sample, metres, and the unit normal of its contour in the image. The effect of the lens's distortion on it is negligible."""
     (t, s), (dt, ds), patches = contour.samples, contour.tangents, by_component(in_camera)
-    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in patches)
-    to_x, to_y, to_z = (dt * (p.along + s * p.taper) + ds * (p.across + t * p.taper) for p in patches)
+    X, Y, Z = (p.start + p.axis * t + p.half_width * s + p.taper * (t * s) for p in patches)
+    to_x, to_y, to_z = (dt * (p.axis + s * p.taper) + ds * (p.half_width + t * p.taper) for p in patches)
     # The contour's direction in the image, up to a factor.
     du = camera.focal[0] * ((to_x * Z - X * to_z) + camera.skew * (to_y * Z - Y * to_z))
     dv = camera.focal[1] * (to_y * Z - Y * to_z)

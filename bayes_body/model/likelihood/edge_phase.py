@@ -203,7 +203,7 @@ class EdgePhase:
         statistics = jax.tree.map(lambda leaf: leaf[..., None, None, None], _by_scale(self.statistics))
         shown_log = jnp.sum(log_density(response.even, response.odd, statistics), axis=0)
         hidden_log = jnp.sum(self.statistics.log_occluded)
-        visible = edges.visible * jnp.asarray(maps.seen, edges.visible.dtype)[:, None, None]
+        visible = edges.visible * jnp.asarray(maps.has_image, edges.visible.dtype)[:, None, None]
         if self.visibility == "hard":
             return jnp.where(visible > 0, shown_log, hidden_log)
         tiny = jnp.finfo(visible.dtype).tiny
@@ -217,7 +217,7 @@ class EdgePhase:
         pose = values[Variable("pose")]
         edges = boundaries(self.body, self.rig, self.contour, rig_patches(self.body, self.rig, pose), self.visibility)
         along_u, along_v = sample_slopes(self.body, self.rig, self.contour.samples, pose)
-        visible = edges.visible * jnp.asarray(maps.seen, pose.dtype)[:, None, None]
+        visible = edges.visible * jnp.asarray(maps.has_image, pose.dtype)[:, None, None]
         slopes = (jnp.sqrt(visible) * (along_u * edges.normals[0] + along_v * edges.normals[1])).reshape(len(pose), -1)
         phase = jnp.sum(self.frequencies**2) / PHASE_SD**2
         return {"pose": self.weight * phase * (slopes @ slopes.T)}

@@ -107,7 +107,7 @@ class ImageMotionPotential:
         if self.background:
             terms = terms - mixed(compared.background_difference, jnp.ones_like(compared.cosine), compared.visibility)
         # One sum over all axes: with few optimisations, XLA's CPU backend computed a sum over parts of sums over points wrongly (jaxlib 0.12.0).
-        total = self.precision * jnp.sum(jnp.where(data.both[:, None], terms, 0.0))
+        total = self.precision * jnp.sum(jnp.where(data.has_both_frames[:, None], terms, 0.0))
         # A part that no camera sees would hide a NaN.
         return jnp.where(jnp.isfinite(jnp.sum(configuration) + jnp.sum(previous)), total, jnp.nan)
 

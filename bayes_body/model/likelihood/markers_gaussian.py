@@ -209,13 +209,15 @@ class MarkersGaussian:
         return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
 
 
-def _expected(whole: MarkersGaussian, values: Variables) -> Float[Array, "camera present 2"]:
-    return whole.expected(values[Variable(whole.body.variable)])
+def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "camera present 2"]:
+    return potential.expected(values[Variable(potential.body.variable)])
 
 
-def _log_densities(whole: MarkersGaussian, expected: Float[Array, "camera present 2"], evidence: MarkerEvidence) -> Float[Array, "camera present"]:
-    pixels, confidence = (jnp.asarray(array)[:, list(whole.places)] for array in evidence)
-    return whole.detections.log_densities(expected, pixels, confidence)
+def _log_densities(
+    potential: MarkersGaussian, expected: Float[Array, "camera present 2"], evidence: MarkerEvidence
+) -> Float[Array, "camera present"]:
+    pixels, confidence = (jnp.asarray(array)[:, list(potential.places)] for array in evidence)
+    return potential.detections.log_densities(expected, pixels, confidence)
 
 
 class PartMarkers(NamedTuple):
@@ -231,7 +233,7 @@ def _offsets(
     placement: ByParts, offsets: Float[Array, "marker 3"], joints: Int[Array, "part chosen"], markers: Int[Array, "part chosen"]
 ) -> Float[Array, "part chosen 3"]:
     """The chosen markers, each on its joint, in the frames of the parts that hold them."""
-    return transforms.apply(jax.tree.map(lambda leaf: leaf[joints], placement.held), offsets[markers])
+    return transforms.apply(jax.tree.map(lambda leaf: leaf[joints], placement.T_part_joint), offsets[markers])
 
 
 def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
@@ -264,8 +266,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     Raises:
         InputError: the body has none of the markers.
     """
-    known = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
-    if not known:
+    shared_markers = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
+    if not shared_markers:
         problem = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
         raise input_error(name, problem, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
     dtype = body.lengths.dtype
@@ -280,8 +282,8 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         degrees_of_freedom=jnp.asarray(options.degrees_of_freedom, dtype),
         least_confidence=jnp.asarray(options.least_confidence, dtype),
     )
-    whole = MarkersGaussian(tuple(number for number, _ in known), tuple(place for _, place in known), body, detections)
-    drawn = jax.tree_util.Partial(simulate, whole, jnp.asarray(options.missing, dtype))
+    potential = MarkersGaussian(tuple(number for number, _ in shared_markers), tuple(place for _, place in shared_markers), body, detections)
+    drawn = jax.tree_util.Partial(simulate, potential, jnp.asarray(options.missing, dtype))
     if body.variable == PARTS:
-        return plate_factor(name, "likelihood", whole.by_parts(), simulate=drawn)
-    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=whole.log_potential, simulate=drawn)
+        return plate_factor(name, "likelihood", potential.by_parts(), simulate=drawn)
+    return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential.log_potential, simulate=drawn)

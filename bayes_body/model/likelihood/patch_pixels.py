@@ -26,7 +26,7 @@ def rig_pixels(body: Body, rig: Camera, samples: Samples, configuration: Configu
 def rig_patches(body: Body, rig: Camera, configuration: Configuration) -> Float[Array, "camera 4 part 3"]:
     """The parts' patches in each camera's frame: start, along, across and taper."""
     T_world_part = Transform(*jax.lax.optimization_barrier(tuple(part_transforms(body, configuration))))
-    return solid_patches(widened(body, configuration).seen, rig, T_world_part)
+    return solid_patches(widened(body, configuration).shapes, rig, T_world_part)
 
 
 def solid_patches(shapes: Shapes, rig: Camera, T_world_part: Transform) -> Float[Array, "camera 4 part 3"]:
@@ -47,7 +47,7 @@ def sample_slopes(body: Body, rig: Camera, samples: Samples, pose: Pose) -> tupl
     def places(pose: Pose) -> tuple[Array, Array]:
         def pixels_of(camera: Camera, in_camera: CameraPatches) -> Pixels[Array]:
             t, s = samples
-            X, Y, Z = (p.start + t * p.along + s * p.across + t * s * p.taper for p in by_component(in_camera))
+            X, Y, Z = (p.start + t * p.axis + s * p.half_width + t * s * p.taper for p in by_component(in_camera))
             # The hand-written derivative supports reverse mode only.
             return cameras.project_components(camera, X, Y, Z)
 
@@ -65,7 +65,7 @@ def corner_pixels(
 
     def pixels_of(camera: Camera, in_camera: CameraPatches) -> Pixels[Float[Array, "corner part"]]:
         patch = Patches(*in_camera)
-        X, Y, Z = (patch.start[:, k] + t * patch.along[:, k] + s * patch.across[:, k] + t * s * patch.taper[:, k] for k in range(3))
+        X, Y, Z = (patch.start[:, k] + t * patch.axis[:, k] + s * patch.half_width[:, k] + t * s * patch.taper[:, k] for k in range(3))
         return _visible_pixels(camera, X, Y, Z)
 
     return jax.vmap(pixels_of)(rig, in_camera)
@@ -98,7 +98,7 @@ type Components = tuple[Float[Array, "part sample"], Float[Array, "part sample"]
 def _spread(in_camera: CameraPatches, samples: Samples) -> Components:
     """V0 + t V1 + s V2 + t s V3, by components in the camera's frame."""
     t, s = samples
-    X, Y, Z = (p.start + p.along * t + p.across * s + p.taper * (t * s) for p in by_component(in_camera))
+    X, Y, Z = (p.start + p.axis * t + p.half_width * s + p.taper * (t * s) for p in by_component(in_camera))
     return X, Y, Z
 
 

@@ -102,7 +102,7 @@ def part_samples(name: str, body: Body, samples: tuple[int, int, int], band: tup
     dtype = body.lengths.dtype
     points = PartSamples(
         T_part_solid=_rows(solids_in_parts(body), chosen),
-        shapes=_rows(body.seen, chosen),
+        shapes=_rows(body.shapes, chosen),
         t=device_array(t, dtype),
         s=device_array(s, dtype),
         cell=device_array(cell, dtype),

@@ -81,7 +81,7 @@ class SilhouetteBernoulli:
         p = self.foreground(configuration)
         terms = jnp.sum(jnp.log(jnp.where(evidence.foreground, p, 1 - p)), axis=(1, 2))
         # A part that no camera sees would hide a NaN.
-        return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(evidence.seen, terms, 0.0)), jnp.nan)
+        return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(evidence.has_image, terms, 0.0)), jnp.nan)
 
     def foreground(self, configuration: Configuration) -> Float[Array, "camera row column"]:
         """The probability of foreground at each grid point."""

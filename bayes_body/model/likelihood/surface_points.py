@@ -93,10 +93,10 @@ def _coefficients(body: Body, places: Float[Array, "sample 2"], on_surface: bool
 
 def _vectors(body: Body, T_world_part: Transform, camera: Camera) -> tuple[Vectors, Float[Array, "part 3"]]:
     """V0..V5 of every part in the world, and the half depth of a section of radius one, towards the camera."""
-    patches = shape_patches(body.seen, T_world_part, camera.viewpoint)
+    patches = shape_patches(body.shapes, T_world_part, camera.viewpoint)
     base, tip = body.outline_radii[:, :1], body.outline_radii[:, 1:]
     is_sphere = jnp.array(body.topology.is_sphere)[:, None]
-    depth = jnp.where(is_sphere, _towards(body, T_world_part, camera), half_depths(body.seen, T_world_part, camera.viewpoint))
+    depth = jnp.where(is_sphere, _towards(body, T_world_part, camera), half_depths(body.shapes, T_world_part, camera.viewpoint))
     return jnp.stack([*patches, depth * base, jnp.where(is_sphere, 0.0, depth * (tip - base))]), depth
 
 

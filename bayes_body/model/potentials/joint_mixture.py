@@ -172,13 +172,13 @@ def _check_numbers(joints: JointMixtures, path: Path) -> None:
     proper = (np.linalg.eigvalsh(blocks).min(axis=(-2, -1)) > 0) & symmetric
     for j, part in enumerate(joints.parts):
         for m in range(joints.weight.shape[1]):
-            where = f"{path}: {part}, component {m + 1}"
+            subject = f"{path}: {part}, component {m + 1}"
             if not np.isfinite(joints.mean[j, m]).all() or not abs(lengths[j, m] - 1) <= TOLERANCE:
-                raise input_error(where, f"a quaternion of length {lengths[j, m]:.4g}", "length 1, or it is no rotation", REMEDY)
+                raise input_error(subject, f"a quaternion of length {lengths[j, m]:.4g}", "length 1, or it is no rotation", REMEDY)
             if not proper[j, m]:
-                raise input_error(where, "a matrix that is no covariance", "symmetric and positive definite blocks", REMEDY)
+                raise input_error(subject, "a matrix that is no covariance", "symmetric and positive definite blocks", REMEDY)
             if not 0 < joints.weight[j, m] < np.inf:
-                raise input_error(where, f"the weight {joints.weight[j, m]:g}", "a finite number above 0", REMEDY)
+                raise input_error(subject, f"the weight {joints.weight[j, m]:g}", "a finite number above 0", REMEDY)
 
 
 UPPER3, UPPER4 = np.triu_indices(3), np.triu_indices(4)

@@ -71,10 +71,10 @@ class Options(Schema):
 
     @model_validator(mode="after")
     def _check_share(self) -> "Options":
-        both = self.learned is not None and "component" in self.model_fields_set
-        if both and self.component_share is None:
+        has_both = self.learned is not None and "component" in self.model_fields_set
+        if has_both and self.component_share is None:
             raise ValueError("both `learned` and `component`; expected one of the two, or both with `component_share`; add it.")
-        if not both and self.component_share is not None:
+        if not has_both and self.component_share is not None:
             raise ValueError("`component_share` without both `learned` and `component`; expected both; add the other, or remove it.")
         return self
 
@@ -91,7 +91,7 @@ def log_density(edge: Mapping[str, Array], parent: Float[Array, "7"], child: Flo
     return log_components[0] if log_components.shape == (1,) else jax.nn.logsumexp(log_components)
 
 
-def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse: bool = False) -> Float[Array, "7"]:
+def draw(key: Key, edge: Mapping[str, Array], neighbour: Float[Array, "7"], reverse: bool = False) -> Float[Array, "7"]:
     """Draw a child given its parent, or with `reverse` a parent given its child, from g. Rotations beyond a half turn are drawn again."""
     choice_key, step_key = jax.random.split(key)
     # The weights without the constants of the Gaussians.
@@ -101,28 +101,28 @@ def draw(key: Key, edge: Mapping[str, Array], known: Float[Array, "7"], reverse:
     def too_far(state: tuple[Key, Array]) -> Array:
         return jnp.sum(state[1][1] ** 2) >= math.pi**2
 
-    def again(state: tuple[Key, Array]) -> tuple[Key, Array]:
+    def redraw(state: tuple[Key, Array]) -> tuple[Key, Array]:
         next_key, use = jax.random.split(state[0])
         return next_key, jnp.asarray(times(root, jax.random.normal(use, (2, 3), root.dtype)))
 
-    _, step = jax.lax.while_loop(too_far, again, (step_key, jnp.full((2, 3), jnp.inf, root.dtype)))
-    return _stepped(edge["mean"][component], step, known, reverse)
+    _, step = jax.lax.while_loop(too_far, redraw, (step_key, jnp.full((2, 3), jnp.inf, root.dtype)))
+    return _stepped(edge["mean"][component], step, neighbour, reverse)
 
 
 def weighted_draw(
-    noise: Float[Array, "7"], edge: Mapping[str, Array], known: Float[Array, "7"], reverse: bool = False
+    noise: Float[Array, "7"], edge: Mapping[str, Array], neighbour: Float[Array, "7"], reverse: bool = False
 ) -> tuple[Float[Array, "7"], Scalar]:
     """Return a draw as `draw` does, made from standard normal numbers, and its log-weight. A rotation beyond a half turn has the weight 0."""
     component = jnp.sum(jnp.cumsum(edge["weight"])[:-1] <= jax.scipy.special.ndtr(noise[0]))
     step = jnp.asarray(times(edge["root"][component], noise[1:].reshape(2, 3)))
     is_within = jnp.sum(step[1] ** 2) < math.pi**2
-    return _stepped(edge["mean"][component], step, known, reverse), jnp.where(is_within, -edge["log_mass"][component], -jnp.inf)
+    return _stepped(edge["mean"][component], step, neighbour, reverse), jnp.where(is_within, -edge["log_mass"][component], -jnp.inf)
 
 
-def _stepped(mean: Float[Array, "7"], step: Float[Array, "2 3"], known: Float[Array, "7"], reverse: bool) -> Float[Array, "7"]:
+def _stepped(mean: Float[Array, "7"], step: Float[Array, "2 3"], neighbour: Float[Array, "7"], reverse: bool) -> Float[Array, "7"]:
     """Return the pose at a step (position, rotation vector) from the mean relative pose."""
     relative = rigid.compose(mean, rigid.rigid(step[0], rotations.exponential(step[1])))
-    return jnp.asarray(rigid.compose(known, rigid.inverse(relative) if reverse else relative))
+    return jnp.asarray(rigid.compose(neighbour, rigid.inverse(relative) if reverse else relative))
 
 
 def draw_tree(key: Key, factor: Factor, root: Float[Array, "7"]) -> Float[Array, "part 7"]:
@@ -176,7 +176,7 @@ def _components(name: str, options: Options, body: Body, children: list[int]) ->
     weights = [
         proportion * joints.weight / joints.weight.sum(axis=-1, keepdims=True) for proportion, joints in ((1 - share, learned), (share, defined))
     ]
-    mean, covariance = (np.concatenate(both, axis=1) for both in zip(learned[:2], defined[:2], strict=True))
+    mean, covariance = (np.concatenate(arrays, axis=1) for arrays in zip(learned[:2], defined[:2], strict=True))
     return _Joints(mean, covariance, np.concatenate(weights, axis=1))
 
 

@@ -48,8 +48,8 @@ def depth(pair: Mapping[str, Array], first: Float[Array, "7"], second: Float[Arr
     a = rigid.apply(first[None], pair["centres"][0])[:, None]
     b = rigid.apply(second[None], pair["centres"][1])[None]
     # sqrt of a clamped square: its gradient at coinciding centres would be infinite.
-    apart = jnp.sqrt(jnp.maximum(jnp.sum((a - b) ** 2, axis=-1), 1e-12))
-    return jnp.max(pair["radii"][0][:, None] + pair["radii"][1][None] - apart) - pair["yields"]
+    distance = jnp.sqrt(jnp.maximum(jnp.sum((a - b) ** 2, axis=-1), 1e-12))
+    return jnp.max(pair["radii"][0][:, None] + pair["radii"][1][None] - distance) - pair["yields"]
 
 
 def _hard(pair: Mapping[str, Array], first: Float[Array, "7"], second: Float[Array, "7"]) -> Scalar:

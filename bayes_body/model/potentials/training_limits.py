@@ -35,10 +35,10 @@ class Options(Schema):
     """[degrees] by how much a range may be exceeded."""
 
 
-def _potential(which: Int[Array, " dof"], low: Float[Array, " dof"], high: Float[Array, " dof"], values: Variables, data: None) -> Scalar:
+def _potential(dofs: Int[Array, " dof"], low: Float[Array, " dof"], high: Float[Array, " dof"], values: Variables, data: None) -> Scalar:
     del data
     # A step has no gradient, so do not trace one.
-    angles = jax.lax.stop_gradient(values[Variable(POSE)])[which]
+    angles = jax.lax.stop_gradient(values[Variable(POSE)])[dofs]
     return jnp.where(jnp.all((angles >= low) & (angles <= high)), 0.0, -jnp.inf)
 
 
@@ -57,12 +57,12 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     if missing or not names or not len(names) == len(arrays.get("low", ())) == len(arrays.get("high", ())):
         problem = f"ranges of {len(names)} dofs" + (f", one of them {missing[0]}" if missing else "")
         raise input_error(path, problem, f"ranges of dofs of the body '{body.name}'", REMEDY)
-    which = np.array([body.dof_names.index(dof) for dof in names])
+    dofs = np.array([body.dof_names.index(dof) for dof in names])
     margin, dtype = np.radians(options.margin_deg), body.lengths.dtype
     low, high = (jnp.asarray(arrays[side] + sign * margin, dtype) for side, sign in (("low", -1), ("high", 1)))
     return Factor(
         name=name,
         side="constraint",
         scope=(Variable(POSE),),
-        log_potential=jax.tree_util.Partial(_potential, jnp.asarray(which), low, high),
+        log_potential=jax.tree_util.Partial(_potential, jnp.asarray(dofs), low, high),
     )

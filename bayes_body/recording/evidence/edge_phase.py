@@ -36,7 +36,7 @@ class PhaseMaps(NamedTuple):
 
     responses: Packed
     level: Float[Array | np.ndarray, "camera scale"]
-    seen: Float[Array | np.ndarray, " camera"]
+    has_image: Float[Array | np.ndarray, " camera"]
 
 
 class Response(NamedTuple):

@@ -17,14 +17,14 @@ class ImageMotion(NamedTuple):
     """The pictures of each camera, packed: this frame, the frame before, and the frame before as if everything had moved with the background.
 
     `rotation` and `translation` are the cameras' extrinsics in the frame before. `places` are the points of every part that are compared, t from 0
-    to 1 along its axis and s from -1 to 1 across it. `both` says which cameras saw both frames; in the first frame it is false for all.
+    to 1 along its axis and s from -1 to 1 across it. `has_both_frames` says which cameras saw both frames; in the first frame it is false for all.
     """
 
     pictures: Packed
     rotation: Float[Array | np.ndarray, "camera 3 3"]
     translation: Float[Array | np.ndarray, "camera 3"]
     places: Float[Array | np.ndarray, "sample 2"]
-    both: Bool[Array | np.ndarray, " camera"]
+    has_both_frames: Bool[Array | np.ndarray, " camera"]
 
 
 def stratified(count_t: int, count_s: int) -> Float[np.ndarray, "sample 2"]:

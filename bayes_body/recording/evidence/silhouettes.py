@@ -17,8 +17,8 @@ class SilhouetteEvidence(NamedTuple):
 
     Attributes:
         foreground: whether the pixel at a grid point belongs to the subject.
-        seen: whether the camera saw the frame; if not, its foreground means nothing.
+        has_image: whether the camera saw the frame; if not, its foreground means nothing.
     """
 
     foreground: Bool[Array | np.ndarray, "camera row column"]
-    seen: Bool[Array | np.ndarray, " camera"]
+    has_image: Bool[Array | np.ndarray, " camera"]

@@ -180,14 +180,14 @@ def learn_background(images: Sequence[Colours], follow_exposure: bool) -> Backgr
     images = _even(images) if follow_exposure else images
     shown = background_frames(np.stack([shrink(image, LONGEST_SMALL) for image in images]))
     size = images[0].shape[1::-1]
-    where = [cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[..., None] > 0 for mask in shown.frames]
+    masks = [cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[..., None] > 0 for mask in shown.frames]
     colours = [_channels(image) for image in images]
-    first, _ = _moments(colours, where)
+    first, _ = _moments(colours, masks)
     # Small images mix neighbouring pixels: at edges, some pixels that they call background are not.
-    near = [
-        mask & (((image - first) ** 2).sum(axis=-1, keepdims=True) < (1.5 * SAME_COLOUR) ** 2) for image, mask in zip(colours, where, strict=True)
+    agreeing = [
+        mask & (((image - first) ** 2).sum(axis=-1, keepdims=True) < (1.5 * SAME_COLOUR) ** 2) for image, mask in zip(colours, masks, strict=True)
     ]
-    mean, sd = _moments(colours, near, first)
+    mean, sd = _moments(colours, agreeing, first)
     doubtful = cv2.resize(shown.doubtful.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     return Background(mean, np.maximum(sd, LEAST_SD), doubtful)
 
@@ -210,12 +210,12 @@ def _channels(image: Colours) -> NDArray[np.uint8]:
 
 
 def _moments(
-    images: Sequence[NDArray[np.uint8]], where: Sequence[NDArray[np.bool_]], otherwise: NDArray[np.float32] | None = None
+    images: Sequence[NDArray[np.uint8]], masks: Sequence[NDArray[np.bool_]], otherwise: NDArray[np.float32] | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Mean and standard deviation over the images in which a pixel counts. A pixel that never counts gets `otherwise` and an unknown deviation."""
     count = np.zeros((*images[0].shape[:2], 1), np.float32)
     total, squares = np.zeros(images[0].shape, np.float32), np.zeros(images[0].shape, np.float32)
-    for image, mask in zip(images, where, strict=True):
+    for image, mask in zip(images, masks, strict=True):
         values = image * mask.astype(np.float32)
         count += mask
         total += values

@@ -86,8 +86,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         return np.stack(words), np.array(levels, np.float32)
 
     def observe(frame: Frame) -> PhaseMaps:
-        nothing = np.stack([unseen(frame.largest)] * len(wavelengths)), np.ones(len(wavelengths), np.float32)
-        maps = [nothing if image is None else maps_of(image, frame.largest) for image in frame.images]
+        empty_maps = np.stack([unseen(frame.largest)] * len(wavelengths)), np.ones(len(wavelengths), np.float32)
+        maps = [empty_maps if image is None else maps_of(image, frame.largest) for image in frame.images]
         words, levels = zip(*maps, strict=True)
         return PhaseMaps(np.stack(words), np.stack(levels), np.array(frame.seen, np.float32))
 
@@ -126,10 +126,10 @@ def outline_points(mask: NDArray[np.bool_]) -> Points:
     pixels = pixels[inside]
     outward = -slope[pixels[:, 1], pixels[:, 0]]
     length = np.linalg.norm(outward, axis=1)
-    known = length > 1e-6
-    normals = outward[known] / length[known, None]
+    has_length = length > 1e-6
+    normals = outward[has_length] / length[has_length, None]
     # A contour follows the last pixels inside: the edge is half a pixel further out.
-    return Points(pixels[known] + 0.5 * normals, normals)
+    return Points(pixels[has_length] + 0.5 * normals, normals)
 
 
 def elsewhere_points(mask: NDArray[np.bool_], number: int, rng: np.random.Generator) -> Points:
@@ -152,6 +152,6 @@ def displaced(points: Points, by_px: float, rng: np.random.Generator) -> Points:
 
 def sampled(maps: Float[np.ndarray, "map row column"], points: Points) -> Response:
     """The responses in one image at the points, interpolated bilinearly as in the likelihood."""
-    where = points.places.T[::-1]
-    values = [map_coordinates(response_map, where, order=1, mode="nearest") for response_map in maps]
+    coordinates = points.places.T[::-1]
+    values = [map_coordinates(response_map, coordinates, order=1, mode="nearest") for response_map in maps]
     return steer(values, points.normals[:, 0], points.normals[:, 1])

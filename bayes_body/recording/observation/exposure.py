@@ -45,8 +45,8 @@ def fit_exposure(image: UInt8[np.ndarray, "row column channel"], reference: Floa
     values, references = (a[::stride, ::stride].reshape(-1, channels).astype(np.float32) for a in (image, reference))
     terms = _terms(len(range(0, rows, stride)), len(range(0, columns, stride)))
     lines = np.array([_fit(references[:, c], values[:, c], terms) for c in range(channels)], np.float32)
-    near = np.abs(values - np.clip(references * lines[:, 0] + terms @ lines[:, 1:].T, 0, 255)).max(axis=1) < AGREEING
-    if near.mean() < LEAST_SHARE:
+    is_inlier = np.abs(values - np.clip(references * lines[:, 0] + terms @ lines[:, 1:].T, 0, 255)).max(axis=1) < AGREEING
+    if is_inlier.mean() < LEAST_SHARE:
         return None
     field = (_terms(GRID, GRID) @ lines[:, 1:].T).reshape(GRID, GRID, channels)
     return Exposure(lines[:, 0], cv2.resize(field, (columns, rows), interpolation=cv2.INTER_LINEAR).reshape(rows, columns, channels))
@@ -62,19 +62,19 @@ def _terms(rows: int, columns: int) -> NDArray[np.float32]:
 def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
     """Gain and polynomial coefficients; gain 1 and offset 0 if too few values are usable."""
     unchanged = np.eye(1, 1 + terms.shape[1], dtype=np.float32)[0]
-    whole = (x > DARKEST) & (x < BRIGHTEST) & (y > DARKEST) & (y < BRIGHTEST)
-    x, y, terms = x[whole], y[whole], terms[whole]
+    is_unclipped = (x > DARKEST) & (x < BRIGHTEST) & (y > DARKEST) & (y < BRIGHTEST)
+    x, y, terms = x[is_unclipped], y[is_unclipped], terms[is_unclipped]
     if x.size < 10 * terms.shape[1]:
         return unchanged
     columns = np.column_stack([x, terms])
     residual = y - np.median(y / x) * x
     line = unchanged
     for _ in range(ROUNDS):
-        near = np.abs(residual) <= max(2.5 * 1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
-        used = columns[near]
+        is_inlier = np.abs(residual) <= max(2.5 * 1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
+        used = columns[is_inlier]
         # A weak prior (gain 1, offset 0) determines what an image of one colour leaves open.
         normal = used.T @ used + np.eye(used.shape[1], dtype=np.float32)
-        line = unchanged + np.linalg.solve(normal, used.T @ (y[near] - x[near])).astype(np.float32)
+        line = unchanged + np.linalg.solve(normal, used.T @ (y[is_inlier] - x[is_inlier])).astype(np.float32)
         residual = y - columns @ line
     return line if 1 / STRONGEST_GAIN < line[0] < STRONGEST_GAIN else unchanged
 
@@ -98,9 +98,9 @@ def colour_histogram(bins: Int[np.ndarray, "*pixels"], channels: int) -> Float[n
     shape = (BINS,) * channels
     counts = np.bincount(bins.ravel(), minlength=BINS**channels).astype(float).reshape(shape)
     for axis in range(channels):
-        before, after = (np.roll(counts, step, axis) for step in (1, -1))
+        lower, upper = (np.roll(counts, step, axis) for step in (1, -1))
         # np.roll wraps around: remove what comes from the other end of the scale.
-        np.moveaxis(before, axis, 0)[0], np.moveaxis(after, axis, 0)[-1] = 0, 0
-        counts = (before + 2 * counts + after) / 4
+        np.moveaxis(lower, axis, 0)[0], np.moveaxis(upper, axis, 0)[-1] = 0, 0
+        counts = (lower + 2 * counts + upper) / 4
     shares = counts / counts.sum() + FLOOR / counts.size
     return (shares / shares.sum()).ravel()

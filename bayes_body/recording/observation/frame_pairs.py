@@ -49,24 +49,24 @@ def pair_sentences(session: Session, frames: int, watch: Callable[[range], Itera
 def _looked_at(session: Session, view: View, frames: int) -> tuple[list[int], float]:
     """Return the frames that repeat the one before, and by how many pixels the background moves in the median pair."""
     tried = {round(place) for place in np.linspace(1, frames - 1, PAIRS)} if frames > 1 else set()
-    repeated, shifts, before = [], [], None
+    repeated, shifts, previous_picture = [], [], None
     for frame in range(frames):
         picture = read_greys(session, frame, view)
-        if picture is not None and before is not None:
-            if _repeats(picture, before):
+        if picture is not None and previous_picture is not None:
+            if _repeats(picture, previous_picture):
                 repeated.append(session.frame_number(frame))
             elif frame in tried:
-                shifts.append(_shift_px(before, picture))
-        before = picture
-    known = [shift for shift in shifts if np.isfinite(shift)]
-    return repeated, float(np.median(known)) if known else 0.0
+                shifts.append(_shift_px(previous_picture, picture))
+        previous_picture = picture
+    finite_shifts = [shift for shift in shifts if np.isfinite(shift)]
+    return repeated, float(np.median(finite_shifts)) if finite_shifts else 0.0
 
 
-def _repeats(picture: Greys, before: Greys) -> bool:
-    return float(np.mean(cv2.absdiff(picture, before) > REPEATED_LEVELS)) < REPEATED_SHARE
+def _repeats(picture: Greys, previous_picture: Greys) -> bool:
+    return float(np.mean(cv2.absdiff(picture, previous_picture) > REPEATED_LEVELS)) < REPEATED_SHARE
 
 
-def _shift_px(before: Greys, picture: Greys) -> float:
+def _shift_px(previous_picture: Greys, picture: Greys) -> float:
     """Return by how far most corners of the picture moved; the person has fewer of them than the background. NaN: too few corners."""
-    start, end = corner_ways(before, picture)
+    start, end = corner_ways(previous_picture, picture)
     return float(np.linalg.norm(np.median(end - start, axis=0))) if len(start) else float("nan")

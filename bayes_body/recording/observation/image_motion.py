@@ -28,27 +28,30 @@ CORNERS, FEWEST, QUALITY, APART_PX = 300, 20, 0.01, 8
 WITHIN_PX = 1.0
 
 
-def corner_ways(before: Greys, picture: Greys) -> Float[np.ndarray, "2 corner 2"]:
+def corner_ways(previous_picture: Greys, picture: Greys) -> Float[np.ndarray, "2 corner 2"]:
     """Return the pixels of corners in the frame before and in this one. There are none if fewer than FEWEST are found again."""
-    corners: Any = cv2.goodFeaturesToTrack(before, CORNERS, QUALITY, APART_PX)
+    corners: Any = cv2.goodFeaturesToTrack(previous_picture, CORNERS, QUALITY, APART_PX)
     if corners is None or len(corners) < FEWEST:
         return np.empty((2, 0, 2))
     empty: Any = None
-    moved, status, _ = cv2.calcOpticalFlowPyrLK(before, picture, corners, empty)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(previous_picture, picture, corners, empty)
     ways = np.stack([corners, moved])[:, status.ravel() == 1].reshape(2, -1, 2)
     return ways if ways.shape[1] >= FEWEST else np.empty((2, 0, 2))
 
 
-def carried_background(before: Greys, picture: Greys) -> Greys:
+def carried_background(previous_picture: Greys, picture: Greys) -> Greys:
     """Return the picture of the frame before, carried to this frame as if everything moved with the background.
 
     The motion is a homography: exact for a camera that turns and for a plane, approximate for a room with depth. Where none is found, nothing moves.
     """
-    start, end = corner_ways(before, picture)
+    start, end = corner_ways(previous_picture, picture)
     homography: Any = cv2.findHomography(start, end, cv2.RANSAC, WITHIN_PX)[0] if len(start) else None
     if homography is None:
-        return before
-    return np.asarray(cv2.warpPerspective(before, homography, before.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        return previous_picture
+    return np.asarray(
+        cv2.warpPerspective(previous_picture, homography, previous_picture.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        np.uint8,
+    )
 
 
 class Options(Schema):
@@ -68,18 +71,18 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
     """Pack the pictures of a frame and of the frame before, as NumPy arrays. A frame without `before` has no pair."""
 
     def packed(image: Greys | None, shape: tuple[int, int]) -> NDArray[np.uint32]:
-        nothing = np.empty((0, 0), np.float32)
-        picture = nothing if image is None else cv2.GaussianBlur(image.astype(np.float32), (0, 0), options.smooth_px) / np.float32(LEVELS)
+        empty_picture = np.empty((0, 0), np.float32)
+        picture = empty_picture if image is None else cv2.GaussianBlur(image.astype(np.float32), (0, 0), options.smooth_px) / np.float32(LEVELS)
         return pack(np.asarray(picture, np.float32), 0.0, shape)
 
     def observe(frame: Frame) -> ImageMotion:
         earlier = frame.before
-        before = (None,) * len(frame.images) if earlier is None else earlier.images
+        previous_pictures = (None,) * len(frame.images) if earlier is None else earlier.images
         # Without a frame before, any camera will do.
-        nowhere = [(np.eye(3), np.zeros(3))] * len(before)
+        nowhere = [(np.eye(3), np.zeros(3))] * len(previous_pictures)
         extrinsics = nowhere if earlier is None else [(camera.rotation, camera.translation_m) for camera in earlier.cameras]
         rotations, translations = (np.stack(arrays).astype(np.float32) for arrays in zip(*extrinsics, strict=True))
-        pairs = list(zip(frame.images, before, strict=True))
+        pairs = list(zip(frame.images, previous_pictures, strict=True))
         moves = (
             [False] * len(pairs)
             if earlier is None
@@ -98,5 +101,5 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
     return observe
 
 
-def _background(picture: Greys | None, before: Greys | None, moves: bool) -> Greys | None:
-    return carried_background(before, picture) if moves and picture is not None and before is not None else before
+def _background(picture: Greys | None, previous_picture: Greys | None, moves: bool) -> Greys | None:
+    return carried_background(previous_picture, picture) if moves and picture is not None and previous_picture is not None else previous_picture

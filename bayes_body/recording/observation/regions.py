@@ -74,9 +74,9 @@ def build(options: Options, **_: Any) -> Callable[[Frame], RegionMaps]:
         return np.stack([pack_log_ratios(ratio, most, shape) for ratio, most in zip(ratios, largest, strict=True)])
 
     def observe(frame: Frame) -> RegionMaps:
-        nothing = np.stack([unseen(frame.largest)] * 3)
+        empty_maps = np.stack([unseen(frame.largest)] * 3)
         pairs = zip(frame.images, masks_of(frame), strict=True)
-        stacks = [nothing if image is None or mask is None else maps_of(image, mask, frame.largest) for image, mask in pairs]
+        stacks = [empty_maps if image is None or mask is None else maps_of(image, mask, frame.largest) for image, mask in pairs]
         return RegionMaps(np.stack(stacks), np.array([nats_of(most) for most in largest], np.float32))
 
     return observe
@@ -84,8 +84,8 @@ def build(options: Options, **_: Any) -> Callable[[Frame], RegionMaps]:
 
 def squared_edge_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_], options: Options) -> NDArray[np.float32]:
     """E² at each pixel (row, column) of an image with a silhouette."""
-    near = edges(image, options.edge_threshold) & (distance_to(mask) <= options.edges_within_px)
-    return np.square(np.minimum(distance_to(near), np.float32(options.edge_limit_px)) / np.float32(options.edge_scale_px))
+    edge_pixels = edges(image, options.edge_threshold) & (distance_to(mask) <= options.edges_within_px)
+    return np.square(np.minimum(distance_to(edge_pixels), np.float32(options.edge_limit_px)) / np.float32(options.edge_scale_px))
 
 
 def _log_odds(probability: float, elsewhere: float) -> tuple[float, float]:

@@ -34,8 +34,8 @@ def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvide
 
     def observe(frame: Frame) -> SilhouetteEvidence:
         masks = list(masks_of(frame))
-        nothing = np.zeros((rows, columns), bool)
-        grids = [nothing if mask is None else sample_mask(mask, columns, rows) for mask in masks]
+        empty_mask = np.zeros((rows, columns), bool)
+        grids = [empty_mask if mask is None else sample_mask(mask, columns, rows) for mask in masks]
         return SilhouetteEvidence(np.stack(grids), np.array([mask is not None for mask in masks]))
 
     return observe

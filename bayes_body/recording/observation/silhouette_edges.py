@@ -38,9 +38,9 @@ def local_thickness(mask: Bool[np.ndarray, "row column"]) -> Float[np.ndarray, "
 def _ridge(inside: Float[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
     """Where the distance to the background is no smaller than on both sides, along rows or along columns."""
     wide = np.pad(inside, 1)
-    across = (inside >= wide[1:-1, :-2]) & (inside >= wide[1:-1, 2:])
-    upright = (inside >= wide[:-2, 1:-1]) & (inside >= wide[2:, 1:-1])
-    return (inside > 0) & (across | upright)
+    is_ridge_of_row = (inside >= wide[1:-1, :-2]) & (inside >= wide[1:-1, 2:])
+    is_ridge_of_column = (inside >= wide[:-2, 1:-1]) & (inside >= wide[2:, 1:-1])
+    return (inside > 0) & (is_ridge_of_row | is_ridge_of_column)
 
 
 def spread_points(mask: Bool[np.ndarray, "row column"], count: int) -> Float[np.ndarray, "point 2"]:
@@ -51,17 +51,17 @@ def spread_points(mask: Bool[np.ndarray, "row column"], count: int) -> Float[np.
     if not count:
         return np.zeros((0, 2), np.float32)
     # Crop to the foreground: the rest would take most of the time and gets no points.
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    cropped = mask[top : top + height, left : left + width]
+    first_column, first_row, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    cropped = mask[first_row : first_row + height, first_column : first_column + width]
     if not width:
         return np.zeros((count, 2), np.float32)
     rows, columns = np.nonzero(cropped)
     # Neighbours on the curve are neighbours in the image, so equal steps along it leave no gaps, unlike steps along the rows.
-    along = np.argsort(_place_on_curve(rows, columns))
-    rows, columns = rows[along], columns[along]
+    order = np.argsort(_place_on_curve(rows, columns))
+    rows, columns = rows[order], columns[order]
     total = np.cumsum(1 / np.maximum(local_thickness(cropped)[rows, columns], 1.0), dtype=float)
     chosen = np.searchsorted(total, total[-1] * (np.arange(count) + 0.5) / count)
-    return np.stack([columns[chosen] + left - mask.shape[1] / 2, rows[chosen] + top - mask.shape[0] / 2], axis=1).astype(np.float32)
+    return np.stack([columns[chosen] + first_column - mask.shape[1] / 2, rows[chosen] + first_row - mask.shape[0] / 2], axis=1).astype(np.float32)
 
 
 def _place_on_curve(rows: Int[np.ndarray, " pixel"], columns: Int[np.ndarray, " pixel"]) -> Int[np.ndarray, " pixel"]:
@@ -164,8 +164,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
 
     def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
         outside = distance_to(mask)
-        near = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
-        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(near), options.edge_smooth_px)
+        edge_pixels = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
+        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(edge_pixels), options.edge_smooth_px)
 
     values_of = by_distance if options.proximity == "distance" else by_density
 

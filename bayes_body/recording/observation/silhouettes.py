@@ -34,7 +34,7 @@ _made = PictureCache(KEPT_BYTES)
 
 def has_silhouettes(session: Session) -> bool:
     """Whether every camera has masks, an empty scene, or enough frames to learn the background."""
-    return all(view.masks is not None or view.background is not None or session.whole.frames >= LEAST_FRAMES for view in session.views)
+    return all(view.masks is not None or view.background is not None or session.recorded_session.frames >= LEAST_FRAMES for view in session.views)
 
 
 def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.ndarray, "row column"] | None:
@@ -68,8 +68,15 @@ def background_of(session: Session, view: View) -> Background:
 
 def _key(session: Session, view: View) -> Hashable:
     """Everything that a background depends on."""
-    source, whole = (view.images, view.video, view.background, view.offset, view.camera.size_px), session.whole
-    return str(session.folder), whole.first_frame, whole.frames, session.segmentation, source, _state(session.background_path(view))
+    source, recorded_session = (view.images, view.video, view.background, view.offset, view.camera.size_px), session.recorded_session
+    return (
+        str(session.folder),
+        recorded_session.first_frame,
+        recorded_session.frames,
+        session.segmentation,
+        source,
+        _state(session.background_path(view)),
+    )
 
 
 def _state(path: Path | None) -> tuple[int, int] | None:
@@ -94,9 +101,9 @@ def _learn(session: Session, view: View) -> Background:
 
 def _recording(session: Session, view: View) -> Iterator[Colours]:
     # Frames outside of the session's range show the scene too.
-    whole = session.whole
-    for index in _evenly(whole.frames, session.segmentation.learning_frames):
-        image = read_colour(whole, index, view)
+    recorded_session = session.recorded_session
+    for index in _evenly(recorded_session.frames, session.segmentation.learning_frames):
+        image = read_colour(recorded_session, index, view)
         if image is not None:
             yield image
 

@@ -95,22 +95,22 @@ def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
     mapped = [MARKERS.get(name, name) for name in keypoint_names]
     if not 0 < len(keypoint_names) <= MOST_KEYPOINTS or len(set(mapped)) < len(mapped):
         twice = next((name for name, count in Counter(mapped).items() if count > 1), None)
-        what = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
-        raise input_error(f"{path}: names", what, "unique names of the keypoints", REMEDY)
+        problem = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
+        raise input_error(f"{path}: names", problem, "unique names of the keypoints", REMEDY)
     return keypoint_names
 
 
 def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.ndarray, "frame keypoint 3"]:
-    where = f"{path}: keypoints"
+    subject = f"{path}: keypoints"
     if points.ndim != 3 or points.shape[1:] != (count, 3) or points.dtype.kind not in "fiu":
-        raise input_error(where, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
+        raise input_error(subject, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
     points = points.astype(np.float64)
     confidence = points[..., 2][np.isfinite(points[..., 2])]
     if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
-        raise input_error(where, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
+        raise input_error(subject, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
     pixels = np.abs(points[..., :2])
     if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
-        raise input_error(where, "a keypoint far outside any image", "pixels, or NaN where not found", REMEDY)
+        raise input_error(subject, "a keypoint far outside any image", "pixels, or NaN where not found", REMEDY)
     return points
 
 
@@ -135,25 +135,25 @@ def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[Peopl
         cameras: calibrated.
         frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
     """
-    places, before = [], None
+    places, previous_body = [], None
     for people in frames:
-        near = tuple(_nearest(camera, among, before) for camera, among in zip(cameras, people, strict=True))
-        subject = _agreeing(cameras, people, near, before)
+        nearest_people = tuple(_nearest(camera, among, previous_body) for camera, among in zip(cameras, people, strict=True))
+        subject = _agreeing(cameras, people, nearest_people, previous_body)
         if subject is None:
             chosen = choose_person(cameras, people)
-            subject = near if chosen is None else chosen.places
-        before = _body(cameras, people, subject, before)
+            subject = nearest_people if chosen is None else chosen.places
+        previous_body = _body(cameras, people, subject, previous_body)
         places.append(subject)
     return places
 
 
-def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], near: Places, before: Body | None) -> Places | None:
+def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, previous_body: Body | None) -> Places | None:
     """The people who are near and agree with the body of this frame; None if too few cameras see it."""
-    if len(cameras) > 1 and _count(near) > 1:
-        body = _body(cameras, people, near, before)
-        rows = zip(cameras, people, near, strict=True)
-        near = tuple(place if place is not None and _error(camera, body, among[place]) <= SAME else None for camera, among, place in rows)
-    return near if _count(near) >= min(2, len(cameras)) else None
+    if len(cameras) > 1 and _count(nearest_people) > 1:
+        body = _body(cameras, people, nearest_people, previous_body)
+        rows = zip(cameras, people, nearest_people, strict=True)
+        nearest_people = tuple(place if place is not None and _error(camera, body, among[place]) <= SAME else None for camera, among, place in rows)
+    return nearest_people if _count(nearest_people) >= min(2, len(cameras)) else None
 
 
 def _count(places: Places) -> int:
@@ -166,17 +166,17 @@ def _nearest(camera: CameraSpec, people: People, body: Body | None) -> int | Non
     return errors.index(error) if error <= NEAR else None
 
 
-def _body(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, before: Body | None) -> Body | None:
+def _body(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, previous_body: Body | None) -> Body | None:
     """The body of this frame. If too little of it is known, the body of the previous frame."""
     visible = [(camera, among[place]) for camera, among, place in zip(cameras, people, places, strict=True) if place is not None]
     if len(visible) < min(2, len(cameras)):
-        return before
+        return previous_body
     body = (
         visible[0][1][:, :2]
         if len(cameras) == 1
         else triangulate([camera for camera, _ in visible], np.stack([person for _, person in visible])).points_m
     )
-    return body if np.isfinite(body).all(axis=1).sum() >= FEWEST else before
+    return body if np.isfinite(body).all(axis=1).sum() >= FEWEST else previous_body
 
 
 def _error(camera: CameraSpec, body: Body | None, person: Float[np.ndarray, "keypoint 3"]) -> float:
@@ -184,7 +184,7 @@ def _error(camera: CameraSpec, body: Body | None, person: Float[np.ndarray, "key
     visible = person[np.isfinite(person[:, :2]).all(axis=1), :2]
     if body is None or len(visible) < FEWEST:
         return np.inf
-    apart = np.linalg.norm(body - person[:, :2], axis=1) if body.shape[1] == 2 else reprojection_errors([camera], body, person[None])[0]
-    known = apart[~np.isnan(apart)]
+    distances = np.linalg.norm(body - person[:, :2], axis=1) if body.shape[1] == 2 else reprojection_errors([camera], body, person[None])[0]
+    finite_distances = distances[~np.isnan(distances)]
     size = float(np.linalg.norm(np.ptp(visible, axis=0)))
-    return float(np.median(known)) / size if len(known) >= FEWEST and size > 0 else np.inf
+    return float(np.median(finite_distances)) / size if len(finite_distances) >= FEWEST and size > 0 else np.inf

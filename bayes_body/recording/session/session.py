@@ -169,7 +169,7 @@ class Session:
         return 0 if self.recorded is None else self.first_frame - self.recorded[0]
 
     @property
-    def whole(self) -> "Session":
+    def recorded_session(self) -> "Session":
         """The session of all recorded frames. A first pose that it has is that of another frame."""
         if self.recorded is None:
             return self

@@ -51,7 +51,7 @@ def seen(body, pose, viewpoint):
 
 def point(patch, t, s) -> np.ndarray:
     t, s = np.asarray(t)[..., None], np.asarray(s)[..., None]
-    return patch.start + t * patch.along + s * patch.across + t * s * patch.taper
+    return patch.start + t * patch.axis + s * patch.half_width + t * s * patch.taper
 
 
 @pytest.mark.parametrize("viewpoint", VIEWPOINTS)
@@ -122,10 +122,10 @@ def test_clothes_are_seen_and_do_not_penetrate(free_parts):
     dressed = replace(body, outline_radii=2 * np.asarray(body.outline_radii))
     T = placed(body, np.array([*POSE, *POSE[::-1]]))
     plain, wide = (jax.tree.map(np.asarray, faced(one, T, VIEWPOINTS[0])) for one in (body, dressed))
-    np.testing.assert_allclose(wide.across, 2 * plain.across, atol=1e-12)
+    np.testing.assert_allclose(wide.half_width, 2 * plain.half_width, atol=1e-12)
     np.testing.assert_allclose(wide.taper, 2 * plain.taper, atol=1e-12)
-    np.testing.assert_allclose(wide.along[0], plain.along[0], atol=1e-12)
-    np.testing.assert_allclose(wide.along[1], 2 * plain.along[1], atol=1e-12)
+    np.testing.assert_allclose(wide.axis[0], plain.axis[0], atol=1e-12)
+    np.testing.assert_allclose(wide.axis[1], 2 * plain.axis[1], atol=1e-12)
     np.testing.assert_array_equal(depths_of(dressed, T), depths_of(body, T))
 
 

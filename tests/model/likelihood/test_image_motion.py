@@ -87,13 +87,13 @@ def test_points_are_where_the_rigid_parts_carry_them(scene, on_surface):
         is_sphere, axis = np.array(body.topology.is_sphere)[:, None], now.rotation[..., 2]
         to_camera = viewpoint - now.origin - np.asarray(body.lengths)[:, None] / 2 * axis
         for number, (t, s) in enumerate(places):
-            across = patch.across + t * patch.taper
+            across = patch.half_width + t * patch.taper
             radius = np.linalg.norm(across, axis=1, keepdims=True)
             # Of a cylinder: perpendicular to its axis and to the side of its contour, towards the camera.
             towards = np.where(is_sphere, to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True), np.cross(axis, across / radius))
             towards *= np.sign(np.sum(towards * to_camera, axis=1, keepdims=True))
             chord = np.where(is_sphere, 2 * np.sqrt(t * (1 - t)), 1.0)
-            world = patch.start + t * patch.along + chord * (s * across + on_surface * np.sqrt(1 - s**2) * radius * towards)
+            world = patch.start + t * patch.axis + chord * (s * across + on_surface * np.sqrt(1 - s**2) * radius * towards)
             in_part = np.einsum("pij,pi->pj", now.rotation, world - now.origin)
             world_before = np.einsum("pij,pj->pi", then.rotation, in_part) + then.origin
             for camera, place, found in ((one, world, points.pixels), (before, world_before, points.previous_pixels)):
@@ -114,7 +114,9 @@ def test_a_point_is_covered_where_it_lies_in_the_outline_of_a_nearer_part(scene)
         camera = camera_of(given.rig, c)
         patch = arrays_of(patches_of(given.body, placed, viewpoint_of(camera)))
         depth = (middle @ camera.rotation.T + camera.translation)[:, 2]
-        corners = np.stack([patch.start + t * patch.along + s * (patch.across + t * patch.taper) for t, s in ((0, -1), (1, -1), (1, 1), (0, 1))], 1)
+        corners = np.stack(
+            [patch.start + t * patch.axis + s * (patch.half_width + t * patch.taper) for t, s in ((0, -1), (1, -1), (1, 1), (0, 1))], 1
+        )
         outlines = np.asarray(projected(camera, corners)[0], np.float32)
         for part in range(len(depth)):
             for sample in range(len(places)):
@@ -234,11 +236,11 @@ def test_a_first_frame_and_cameras_that_missed_a_frame_say_nothing(scene):
     given = scene("arm_4")
     images, rig = given.frame.images, given.rig
     first = observe(images, index=0)
-    assert not first.both.any() and value(factor(given), given.pose, moved(given), first) == 0
+    assert not first.has_both_frames.any() and value(factor(given), given.pose, moved(given), first) == 0
     alone = [observe(images, [images[0], None], rig), observe([None, images[1]], images, rig, sizes=images)]
     both = value(factor(given), given.pose, given.pose, observe(images, images, rig))
     np.testing.assert_allclose(sum(value(factor(given), given.pose, given.pose, each) for each in alone), both, rtol=1e-9)
-    assert [each.both.tolist() for each in alone] == [[True, False], [False, True]]
+    assert [each.has_both_frames.tolist() for each in alone] == [[True, False], [False, True]]
 
 
 def test_random_places_change_with_the_frame_and_not_with_the_particle(scene):

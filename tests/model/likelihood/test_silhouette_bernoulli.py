@@ -117,9 +117,9 @@ def test_it_is_the_sum_of_the_pixels_and_of_the_cameras_that_saw_the_frame(x64, 
     seen, p = drawn(f, scene.pose), np.asarray(foreground(f, scene.pose))
     terms = np.where(seen.foreground, np.log(p), np.log1p(-p)).sum(axis=(1, 2))
     assert log_density(f, scene.pose, seen) == pytest.approx(terms.sum(), rel=1e-9)
-    half = seen._replace(seen=jnp.array([False, True]))
+    half = seen._replace(has_image=jnp.array([False, True]))
     assert log_density(f, scene.pose, half) == pytest.approx(terms[1], rel=1e-9)
-    assert log_density(f, scene.pose, seen._replace(seen=jnp.zeros(2, bool))) == 0
+    assert log_density(f, scene.pose, seen._replace(has_image=jnp.zeros(2, bool))) == 0
 
 
 def test_probabilities_go_from_false_alarm_to_miss(x64, scene):

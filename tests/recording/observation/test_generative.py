@@ -39,7 +39,7 @@ def test_silhouettes_of_a_frame():
     mask[10:20, 30:] = True
     seen = observe("silhouette_bernoulli", Frame(0, (mask.astype(np.uint8), None), (mask, None)), likelihood=Options(grid=(4, 3)))
     np.testing.assert_array_equal(seen.foreground[0], [[0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
-    np.testing.assert_array_equal(seen.seen, [True, False])
+    np.testing.assert_array_equal(seen.has_image, [True, False])
     assert observe("silhouette_bernoulli", Frame(0, (mask.astype(np.uint8),), (mask,))).foreground.shape == (1, 48, 64)
     with pytest.raises(InputError, match="no masks"):
         observe("silhouette_bernoulli", Frame(0, (None,), None))

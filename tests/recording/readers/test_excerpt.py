@@ -69,7 +69,7 @@ def test_the_background_is_learned_from_the_whole_recording(recording):
     still = replace(recording, views=recording.views[:1])
     part = excerpt(still, 105, 2)
     assert has_silhouettes(part) and not has_silhouettes(replace(part, recorded=None))
-    assert (part.whole.first_frame, part.whole.frames) == (FIRST, FRAMES)
+    assert (part.recorded_session.first_frame, part.recorded_session.frames) == (FIRST, FRAMES)
     assert background_of(part, part.views[0]) is background_of(still, still.views[0])
 
 
