@@ -51,8 +51,8 @@ class Restarts:
 
     def watch(self, result: FrameResult, frame: int) -> None:
         """Count a frame that was tracked."""
-        before = np.where(result.restarted, 0, self.frames_off) if result.restarted.any() else self.frames_off
-        self.frames_off = np.where(self.recovery.off(result, frame) | np.asarray(result.info.lost, bool), before + 1, 0)
+        previous_counts = np.where(result.restarted, 0, self.frames_off) if result.restarted.any() else self.frames_off
+        self.frames_off = np.where(self.recovery.off(result, frame) | np.asarray(result.info.lost, bool), previous_counts + 1, 0)
 
     def restart(self, frame: int, filters: list[Particles], keys: list[Key]) -> Bool[np.ndarray, " run"]:
         """Replace the particles of lost runs by poses of the person found in a frame, if any; return whether each run was restarted."""

@@ -86,20 +86,20 @@ def window_posterior(
     smoothed = smooth_window(session, model, build_smoother(draws=paths, moves=moves), filtered, smooth_key, frames)
     names = smoothed[0].states
     by_path = {name: _pooled(np.stack([np.asarray(smoothed_frame.states[name]) for smoothed_frame in smoothed], axis=2)) for name in names}
-    whole = _on_one_turn(model, {name: jnp.asarray(values) for name, values in by_path.items()})
+    path_states = _on_one_turn(model, {name: jnp.asarray(values) for name, values in by_path.items()})
     ready = time.perf_counter()
 
-    before = _before(filtered, frames.start - 1)
+    particles = _pooled_particles(filtered, frames.start - 1)
     with closing(observations(session, model, frames)) as observed:
-        densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, before) for o in observed]
-    first = jax.tree.map(lambda leaf: leaf[0], whole)
-    target = trajectory(stacked(densities), before, first, gaussian=prior_key if prior == "gaussian" else None)
-    draws = jax.block_until_ready(sample_window(run_key, target, whole, None, **options))
+        densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, particles) for o in observed]
+    first = jax.tree.map(lambda leaf: leaf[0], path_states)
+    target = trajectory(stacked(densities), particles, first, gaussian=prior_key if prior == "gaussian" else None)
+    draws = jax.block_until_ready(sample_window(run_key, target, path_states, None, **options))
     numbers = range(session.frame_number(frames.start), session.frame_number(frames.stop))
-    return WindowPosterior(model, numbers, draws, whole, (ready - started, time.perf_counter() - ready))
+    return WindowPosterior(model, numbers, draws, path_states, (ready - started, time.perf_counter() - ready))
 
 
-def _before(filtered: Frames, frame: int) -> Particles:
+def _pooled_particles(filtered: Frames, frame: int) -> Particles:
     """Return the particles of a frame, all runs together."""
     frame_result = filtered[frame]
     states = {name: jnp.asarray(_pooled(np.asarray(values))) for name, values in frame_result.states.items()}
@@ -129,7 +129,7 @@ def _check(model: Model, filtered: Frames, frames: range, first: int) -> None:
     if not len(frames) or frames.step != 1 or not 1 <= frames.start <= frames[-1] <= last:
         problem, expected = f"{first + frames.start} to {first + frames.stop - 1}", f"consecutive frames from {first + 1} to {first + last}"
         raise input_error("the frames of the window", problem, expected, f"give others; frame {first} has no frame before it")
-    check_gradients(Density(model.transition, model.factors, {}, _before(filtered, frames.start - 1)), "NUTS")
+    check_gradients(Density(model.transition, model.factors, {}, _pooled_particles(filtered, frames.start - 1)), "NUTS")
     restarted = [frame for frame in frames if filtered[frame].restarted.any()]
     if restarted:
         problem = f"the filter started anew in frame {first + restarted[0]}"

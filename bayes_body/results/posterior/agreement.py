@@ -51,9 +51,9 @@ def _normal_scores(values: Float[np.ndarray, "frame chain draw dof"]) -> Float[n
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
-    together = values.reshape(values.shape[0], -1, values.shape[-1])
-    ranks = rankdata(together, axis=1)
-    return ndtri((ranks - 3 / 8) / (together.shape[1] + 1 / 4)).reshape(values.shape)
+    pooled = values.reshape(values.shape[0], -1, values.shape[-1])
+    ranks = rankdata(pooled, axis=1)
+    return ndtri((ranks - 3 / 8) / (pooled.shape[1] + 1 / 4)).reshape(values.shape)
 
 
 def _rhat(scores: Float[np.ndarray, "frame chain draw dof"]) -> Float[np.ndarray, "frame dof"]:
@@ -94,5 +94,5 @@ def chain_rhat(poses: Float[np.ndarray, "run draw frame dof"], length: int) -> F
     runs, chains, steps, frames, dofs = draws.shape
     if chains < 2 or steps < FEWEST_DRAWS:
         return np.full((runs, frames, dofs), np.nan)
-    together = draws.transpose(0, 3, 1, 2, 4).reshape(-1, chains, steps, dofs)
-    return split_rhat(together).reshape(runs, frames, dofs)
+    pooled = draws.transpose(0, 3, 1, 2, 4).reshape(-1, chains, steps, dofs)
+    return split_rhat(pooled).reshape(runs, frames, dofs)

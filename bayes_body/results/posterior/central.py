@@ -52,10 +52,10 @@ def central_pose(body: Body, poses: Float[np.ndarray, "draw *shape"], weights: F
     chosen, shares = thinned(weights)
     # The last one is the mean.
     points = np.asarray(part_ends(body, jnp.asarray(np.concatenate([poses[chosen], mean[None]]), body.lengths.dtype)), float)
-    apart = distances(points)
-    if lies_among(apart[-1, :-1], apart[:-1, :-1], shares):
+    distance_matrix = distances(points)
+    if lies_among(distance_matrix[-1, :-1], distance_matrix[:-1, :-1], shares):
         return CentralPose(mean, True)
-    return CentralPose(np.asarray(poses[chosen[(apart[:-1, :-1] @ shares).argmin()]]), False)
+    return CentralPose(np.asarray(poses[chosen[(distance_matrix[:-1, :-1] @ shares).argmin()]]), False)
 
 
 def thinned(weights: Float[np.ndarray, " draw"]) -> tuple[Int[np.ndarray, " place"], Float[np.ndarray, " place"]]:
@@ -91,9 +91,9 @@ def lies_among(to_draws: Float[np.ndarray, " draw"], between: Float[np.ndarray, 
     return bool(different >= FEWEST and radius <= _quantiles(np.array([radii]), shares[None], LEVEL)[0])
 
 
-def _radii(apart: Float[np.ndarray, "pose draw"], shares: Float[np.ndarray, " draw"]) -> Float[np.ndarray, " pose"]:
+def _radii(distance_matrix: Float[np.ndarray, "pose draw"], shares: Float[np.ndarray, " draw"]) -> Float[np.ndarray, " pose"]:
     """Return the smallest radius around each pose within which SHARE of the weight of the draws elsewhere lies."""
-    return _quantiles(apart, np.where(apart < SAME_M, 0, shares), SHARE)
+    return _quantiles(distance_matrix, np.where(distance_matrix < SAME_M, 0, shares), SHARE)
 
 
 def _quantiles(values: Float[np.ndarray, "row value"], shares: Float[np.ndarray, "row value"], level: float) -> Float[np.ndarray, " row"]:

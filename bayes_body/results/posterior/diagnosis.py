@@ -169,6 +169,6 @@ def first_frame_of(tree: "xr.DataTree") -> int:
 def _sd(values: Float[np.ndarray, "run k"]) -> Float[np.ndarray, " k"]:
     out = np.full(values.shape[1], np.nan)
     if values.shape[0] > 1:
-        known = np.isfinite(values).all(axis=0)
-        out[known] = values[:, known].std(axis=0, ddof=1)
+        is_finite = np.isfinite(values).all(axis=0)
+        out[is_finite] = values[:, is_finite].std(axis=0, ddof=1)
     return out

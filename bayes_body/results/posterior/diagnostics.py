@@ -92,9 +92,9 @@ def _of_draws(tree: "xr.DataTree", block: int) -> _Figures:
 def _of_all(tree: "xr.DataTree") -> _Figures:
     """Return the figures that were computed of all particles, before a run was thinned. Ancestors further back are unknown."""
     group = tree["filter"]
-    ess, pareto_k, before, independent = (np.asarray(group[OF_ALL + name], float) for name in ("ess", "pareto_k", "ancestors", INDEPENDENT))
-    ancestors = np.full((len(LAGS), *before.shape), np.nan)
-    ancestors[LAGS.index(1)] = before
+    ess, pareto_k, ancestor_counts, independent = (np.asarray(group[OF_ALL + name], float) for name in ("ess", "pareto_k", "ancestors", INDEPENDENT))
+    ancestors = np.full((len(LAGS), *ancestor_counts.shape), np.nan)
+    ancestors[LAGS.index(1)] = ancestor_counts
     rhat = thinned_figure(tree, RHAT)
     return _Figures(ess, pareto_k, ancestors, np.full((len(independent), 0), np.nan) if rhat is None else rhat, independent)
 
@@ -105,9 +105,9 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
     A mode seeker has no Pareto k, because its weights are not importance weights.
     """
     weighted = not diagnosis.mode_seeker
-    known = diagnosis.rhat[np.isfinite(diagnosis.rhat)]
+    finite_values = diagnosis.rhat[np.isfinite(diagnosis.rhat)]
     figures = {
-        "rhat_share": float((known <= thresholds.rhat).mean()) if known.size else np.nan,
+        "rhat_share": float((finite_values <= thresholds.rhat).mean()) if finite_values.size else np.nan,
         "independent_draws_min": _extreme(np.min, diagnosis.independent_draws),
         "ancestors_min": _extreme(np.min, diagnosis.ancestors[0]),
         "pareto_k_max": _extreme(np.max, diagnosis.pareto_k) if weighted else np.nan,
@@ -124,8 +124,8 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
 
 
 def _extreme(function: Callable[[np.ndarray], np.floating], values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(function(known)) if known.size else float("nan")
+    finite_values = values[np.isfinite(values)]
+    return float(function(finite_values)) if finite_values.size else float("nan")
 
 
 def effective_sample_sizes(log_weights: Float[np.ndarray, "run draw frame"]) -> Float[np.ndarray, "run frame"]:

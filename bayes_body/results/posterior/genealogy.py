@@ -27,24 +27,24 @@ def unique_ancestors(tree: "xr.DataTree", lags: tuple[int, ...]) -> Float[np.nda
     out = np.full((len(lags), runs, frames), np.nan)
     for piece in pieces(range(frames), min(BLOCK, LARGEST // (runs * draws))):
         first = max(piece.start - max(lags) + 1, 0)
-        known = np.asarray(ancestor.isel(frame=slice(first, piece.stop))).transpose(0, 2, 1)
-        for lag, lineage in _lineages(known, piece.start - first, max(lags)):
+        ancestors = np.asarray(ancestor.isel(frame=slice(first, piece.stop))).transpose(0, 2, 1)
+        for lag, lineage in _lineages(ancestors, piece.start - first, max(lags)):
             if lag in lags:
                 out[lags.index(lag), :, piece.stop - lineage.shape[1] : piece.stop] = _distinct(lineage)
     return out
 
 
-def _lineages(known: Int[np.ndarray, "run frame draw"], start: int, most: int) -> Iterator[tuple[int, Int[np.ndarray, "run some draw"]]]:
+def _lineages(ancestors: Int[np.ndarray, "run frame draw"], start: int, most: int) -> Iterator[tuple[int, Int[np.ndarray, "run some draw"]]]:
     """Yield, for each lag, the ancestors of the particles of frame `start` and later. Frames whose ancestors are unknown are left out."""
-    lineage = known[:, start:]
+    lineage = ancestors[:, start:]
     yield 1, lineage
     for lag in range(2, most + 1):
         lost = max(lag - 1 - start, 0)
-        if lost >= known.shape[1] - start:
+        if lost >= ancestors.shape[1] - start:
             return
-        before = known[:, start + lost - lag + 1 : known.shape[1] - lag + 1]
-        lineage = lineage[:, lineage.shape[1] - before.shape[1] :]
-        lineage = np.where(lineage == NO_ANCESTOR, NO_ANCESTOR, np.take_along_axis(before, lineage, axis=2))
+        earlier_ancestors = ancestors[:, start + lost - lag + 1 : ancestors.shape[1] - lag + 1]
+        lineage = lineage[:, lineage.shape[1] - earlier_ancestors.shape[1] :]
+        lineage = np.where(lineage == NO_ANCESTOR, NO_ANCESTOR, np.take_along_axis(earlier_ancestors, lineage, axis=2))
         yield lag, lineage
 
 

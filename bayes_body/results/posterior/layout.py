@@ -33,14 +33,14 @@ class Variable:
         group: `posterior`, `sample_stats` or `filter`.
         name: its name in the group.
         dims: its dimensions, including `frame`.
-        of: function that takes its values from a frame's result; they have all dimensions except `frame`.
+        read: function that takes its values from a frame's result; they have all dimensions except `frame`.
         attributes: what is stored beside it, such as the space of a state's variable.
     """
 
     group: str
     name: str
     dims: tuple[str, ...]
-    of: Callable[[FrameResult], Any]
+    read: Callable[[FrameResult], Any]
     attributes: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -50,7 +50,7 @@ class Variable:
 
     def stack(self, frames: Sequence[FrameResult]) -> NDArray[Any]:
         """Return its values in several frames, with the axis `frame` at `frame_axis`."""
-        return np.stack([np.asarray(self.of(frame)) for frame in frames], axis=self.frame_axis)
+        return np.stack([np.asarray(self.read(frame)) for frame in frames], axis=self.frame_axis)
 
 
 def variables(draws: Draws) -> list[Variable]:
@@ -175,7 +175,7 @@ def sizes(draws: Draws) -> dict[str, int]:
     lengths = {"frame": len(draws.frames)}
     for variable in variables(draws):
         without = [dim for dim in variable.dims if dim != "frame"]
-        lengths |= dict(zip(without, np.shape(variable.of(draws.frames[0])), strict=True))
+        lengths |= dict(zip(without, np.shape(variable.read(draws.frames[0])), strict=True))
     return lengths
 
 

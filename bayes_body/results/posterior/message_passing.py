@@ -96,5 +96,5 @@ def worst_of_messages(figures: MessagePassing) -> dict[str, float]:
 
 
 def _least(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if known.size else float("nan")
+    finite_values = values[np.isfinite(values)]
+    return float(finite_values.min()) if finite_values.size else float("nan")

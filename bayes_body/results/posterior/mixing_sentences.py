@@ -65,8 +65,8 @@ def _divergences(mixing: Mixing, first: int, thresholds: Thresholds) -> Iterator
     worst = mixing.divergences.sum(axis=-1).max(axis=0) / trajectories
     crossed = worst > thresholds.divergent_share
     if crossed.any():
-        where = at_worst(crossed, first + int(worst.argmax()))
-        figure = f"{worst.max():.0%} of the trajectories diverged{where} (limit {thresholds.divergent_share:.0%})"
+        place = at_worst(crossed, first + int(worst.argmax()))
+        figure = f"{worst.max():.0%} of the trajectories diverged{place} (limit {thresholds.divergent_share:.0%})"
         yield f"{frames_where(crossed, first)}: {figure}, so parts of the posterior may be missing; {_lower(mixing)}."
 
 
@@ -121,8 +121,8 @@ def _joint(figures: MessagePassing, draws: int, first: int, thresholds: Threshol
     worst = figures.joint_ess.min(axis=0)
     crossed = worst < min(thresholds.joint_ess, draws)
     if crossed.any():
-        where = at_worst(crossed, first + int(worst.argmin()))
-        figure = f"{worst.min():.1f} effective joint draws of {draws}{where} (limit {thresholds.joint_ess:g})"
+        place = at_worst(crossed, first + int(worst.argmin()))
+        figure = f"{worst.min():.1f} effective joint draws of {draws}{place} (limit {thresholds.joint_ess:g})"
         reason = "the messages leave out too much of the model, such as factors that close loops or read the whole body"
         remedy = f"take likelihoods of single parts, such as regions, {_more(figures)}, or use --kernel tempered"
         yield f"{frames_where(crossed, first)}: {figure}: {reason}; {remedy}."

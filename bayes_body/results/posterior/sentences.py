@@ -38,10 +38,10 @@ def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
     """
     try:
         kernel = find("kernel", diagnosis.kernel)
-        known, instead = set(kernel.options.model_fields), kernel.instead
+        option_names, instead = set(kernel.options.model_fields), kernel.instead
     except InputError:
-        known, instead = {"particles"}, ""
-    raised = " or ".join(f"--{name}" for name in wanted if name in known)
+        option_names, instead = {"particles"}, ""
+    raised = " or ".join(f"--{name}" for name in wanted if name in option_names)
     if diagnosis.smoothed:
         return f"{'smooth with more --moves, or ' if moves_help else ''}smooth a run with more {raised}"
     return f"raise {raised}, or {instead}" if instead else f"raise {raised}"
@@ -62,8 +62,8 @@ def _lost(diagnosis: Diagnosis) -> str | None:
     lost = diagnosis.lost.any(axis=0)
     if not lost.any():
         return None
-    what = "lost: no particle explained the images, and the filter continued from its prediction"
-    return f"{frames_where(lost, first)}: {what}; look at the images, or {_remedy(diagnosis, 'particles')}."
+    problem = "lost: no particle explained the images, and the filter continued from its prediction"
+    return f"{frames_where(lost, first)}: {problem}; look at the images, or {_remedy(diagnosis, 'particles')}."
 
 
 def _unseen(diagnosis: Diagnosis) -> str | None:
@@ -81,9 +81,9 @@ def _unseen(diagnosis: Diagnosis) -> str | None:
 
 def _rhat(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     first = diagnosis.first_frame
-    worst, known = largest(diagnosis.rhat), np.isfinite(diagnosis.rhat).sum(axis=1)
+    worst, finite_counts = largest(diagnosis.rhat), np.isfinite(diagnosis.rhat).sum(axis=1)
     above = (diagnosis.rhat > thresholds.rhat).sum(axis=1)
-    crossed = (above > (1 - thresholds.rhat_share) * known) | (worst > max(thresholds.rhat, thresholds.rhat_single))
+    crossed = (above > (1 - thresholds.rhat_share) * finite_counts) | (worst > max(thresholds.rhat, thresholds.rhat_single))
     if not crossed.any():
         return None
     frame = int(np.where(crossed, worst, -np.inf).argmax())
@@ -113,8 +113,8 @@ def _pareto_k(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     crossed = worst > thresholds.pareto_k
     if not crossed.any():
         return None
-    where = at_worst(crossed, first + int(worst.argmax()))
-    figure = f"a few weights dominate the estimate, Pareto k {worst.max():.2f}{where} (limit {thresholds.pareto_k:g})"
+    place = at_worst(crossed, first + int(worst.argmax()))
+    figure = f"a few weights dominate the estimate, Pareto k {worst.max():.2f}{place} (limit {thresholds.pareto_k:g})"
     return f"{frames_where(crossed, first)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
@@ -135,16 +135,16 @@ def _ancestors(diagnosis: Diagnosis, thresholds: Thresholds) -> str | None:
     crossed = worst < min(thresholds.ancestors, diagnosis.particles)
     if not crossed.any():
         return None
-    where = at_worst(crossed, first + int(worst.argmin()))
-    figure = f"all particles descend from {worst.min():.0f} of the frame before{where} (limit {thresholds.ancestors:g})"
+    place = at_worst(crossed, first + int(worst.argmin()))
+    figure = f"all particles descend from {worst.min():.0f} of the frame before{place} (limit {thresholds.ancestors:g})"
     return f"{frames_where(crossed, first)}: {figure}; {_remedy(diagnosis, 'particles', 'moves')}."
 
 
 def _acceptance(diagnosis: Diagnosis, thresholds: Thresholds) -> Iterator[str]:
     first = diagnosis.first_frame
     rates = diagnosis.acceptance_rate.transpose(1, 0, 2).reshape(diagnosis.acceptance_rate.shape[1], -1)
-    known = ~np.isnan(rates)
-    mean = np.divide(np.where(known, rates, 0).sum(axis=1), known.sum(axis=1), out=np.full(len(rates), np.nan), where=known.any(axis=1))
+    is_finite = ~np.isnan(rates)
+    mean = np.divide(np.where(is_finite, rates, 0).sum(axis=1), is_finite.sum(axis=1), out=np.full(len(rates), np.nan), where=is_finite.any(axis=1))
     low, high = thresholds.acceptance
     for crossed, place, limit, meaning in (
         (mean < low, np.where(np.isnan(mean), np.inf, mean).argmin(), low, "the moves hardly change the particles"),

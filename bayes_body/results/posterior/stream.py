@@ -61,7 +61,7 @@ def frames_in_chunk(draws: Draws) -> int:
 
 
 def _check_room(draws: Draws, path: Path) -> None:
-    a_frame = sum(np.asarray(variable.of(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
+    a_frame = sum(np.asarray(variable.read(draws.frames[0])).nbytes for members in groups(draws).values() for variable in members)
     wanted, free = len(draws.frames) * a_frame, shutil.disk_usage(path.parent).free
     if wanted > free:
         raise input_error(path, f"cannot be written ({free / 1e6:.1f} MB are free)", f"{wanted / 1e6:.1f} MB of free space", "free some space")
@@ -75,7 +75,7 @@ def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], d
     for label, (dim, values) in labels.items():
         _make_coordinate(group, label, dim, values)
     for variable in members:
-        dtype = np.asarray(variable.of(draws.frames[0])).dtype
+        dtype = np.asarray(variable.read(draws.frames[0])).dtype
         boolean = dtype.kind == "b"
         shape = tuple(lengths[dim] for dim in variable.dims)
         # Checksums need chunks. Without draws, one chunk holds all.
@@ -163,7 +163,7 @@ def tree_on_demand(draws: Draws, attributes: Mapping[str, Any] | None = None) ->
     small: dict[str, list[Any]] = {variable.name: [] for variable in by_group[SMALL]}
     for frame in draws.frames:
         for variable in by_group[SMALL]:
-            small[variable.name].append(variable.of(frame))
+            small[variable.name].append(variable.read(frame))
     datasets = {}
     for group, members in by_group.items():
         arrays = {}
@@ -184,7 +184,7 @@ def _lazily(variable: Variable, frames: Frames, shape: tuple[int, ...]) -> Any:
 
     class OnDemand(BackendArray):
         def __init__(self) -> None:
-            self.shape, self.dtype = shape, np.asarray(variable.of(frames[0])).dtype
+            self.shape, self.dtype = shape, np.asarray(variable.read(frames[0])).dtype
 
         def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
             return indexing.explicit_indexing_adapter(key, shape, indexing.IndexingSupport.BASIC, self.read)

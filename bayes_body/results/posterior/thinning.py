@@ -103,13 +103,13 @@ def choose(
     threshold = _threshold(weights, draws)
     stays = weights >= threshold
     places = np.flatnonzero(stays)
-    others = np.flatnonzero(~stays)
+    candidates = np.flatnonzero(~stays)
     number = draws - len(places)
-    cumulative = np.cumsum(weights[others])
+    cumulative = np.cumsum(weights[candidates])
     levels = (np.arange(number) + rng.random()) / max(number, 1) * cumulative[-1]
-    chosen = others[np.minimum(np.searchsorted(cumulative, levels, side="right"), len(others) - 1)]
-    together = np.concatenate([places, chosen])
-    return np.sort(together), np.concatenate([weights[places], np.full(number, threshold)])[np.argsort(together, kind="stable")]
+    chosen = candidates[np.minimum(np.searchsorted(cumulative, levels, side="right"), len(candidates) - 1)]
+    chosen_places = np.concatenate([places, chosen])
+    return np.sort(chosen_places), np.concatenate([weights[places], np.full(number, threshold)])[np.argsort(chosen_places, kind="stable")]
 
 
 def _threshold(weights: Float[np.ndarray, " particle"], draws: int) -> float:
@@ -139,14 +139,14 @@ def figures_of_all(frame: FrameResult, number: int, spaces: Mapping[str, Space])
     weights = weights_of_runs(log_weights)[..., 0]
     centred = {name: around_mean(space, frame.states[name][:, :, None].astype(float), log_weights) for name, space in spaces.items()}
     blocks = {name: Block(range(number, number + 1), poses, log_weights) for name, poses in centred.items()}
-    whole = Block(range(number, number + 1), np.concatenate(list(centred.values()), axis=-1), log_weights)
+    block = Block(range(number, number + 1), np.concatenate(list(centred.values()), axis=-1), log_weights)
     ancestors = [len(np.unique(of_run)) if of_run[0] != NO_ANCESTOR else np.nan for of_run in frame.info.ancestors]
     figures: dict[str, Any] = {
         "particles": np.full(len(weights), weights.shape[1], np.int32),
         "ess": 1 / (weights**2).sum(axis=1),
         "pareto_k": pareto_shape(log_weights[..., 0]),
         "ancestors": np.array(ancestors, float),
-        INDEPENDENT: independent_draws(whole)[0],
+        INDEPENDENT: independent_draws(block)[0],
     }
     figures |= {MEAN + name: weighted_mean(frame, name, space) for name, space in spaces.items()}
     figures |= {RHAT + name: rhat_of_block(block)[0] for name, block in blocks.items()}

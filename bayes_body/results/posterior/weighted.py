@@ -171,10 +171,10 @@ def _taken(group: "xr.Dataset", chosen: Int[np.ndarray, "chain count frame"]) ->
     arrays = {}
     for name, values in group.data_vars.items():
         absent = [dim for dim in BY_DRAW if dim not in values.dims]
-        whole = values.expand_dims(absent).variable.transpose(*BY_DRAW, ...)
-        index = chosen.reshape(chosen.shape + (1,) * (whole.ndim - len(BY_DRAW)))
-        taken = np.take_along_axis(whole.values, index, axis=1)
+        values_by_draw = values.expand_dims(absent).variable.transpose(*BY_DRAW, ...)
+        index = chosen.reshape(chosen.shape + (1,) * (values_by_draw.ndim - len(BY_DRAW)))
+        taken = np.take_along_axis(values_by_draw.values, index, axis=1)
         equal = np.full_like(taken, -np.log(chosen.shape[1])) if name == LOG_WEIGHT else taken
-        arrays[name] = xr.Variable(whole.dims, equal, values.attrs).isel(dict.fromkeys(absent, 0)).transpose(*values.dims)
+        arrays[name] = xr.Variable(values_by_draw.dims, equal, values.attrs).isel(dict.fromkeys(absent, 0)).transpose(*values.dims)
     labels = {name: values for name, values in group.coords.items() if name != "draw"}
     return xr.Dataset(arrays, labels | {"draw": np.arange(chosen.shape[1])}, group.attrs)

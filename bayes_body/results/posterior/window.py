@@ -71,24 +71,24 @@ def window_sentences(posterior: WindowPosterior) -> list[str]:
     (chains, count), r_hat = np.shape(draws.divergent), float(np.max(draws.r_hat))
     agree = "the chains agree" if r_hat <= AGREE else f"the chains do not agree (limit {AGREE}); more draws or a longer warm-up are needed"
     least, middle, wanted = float(np.min(draws.effective)), float(np.median(draws.effective)), EFFECTIVE * chains
-    enough = "" if least >= wanted else f"; at least {wanted} are needed, so more draws"
+    advice = "" if least >= wanted else f"; at least {wanted} are needed, so more draws"
     diverged, steps = int(np.sum(draws.divergent)), float(np.mean(draws.leapfrog_steps))
     smoother, sampler = posterior.seconds
-    apart, error, name, frame = _apart(posterior)
+    difference, error, name, frame = _largest_difference(posterior)
     sentences = [
         f"R-hat: {r_hat:.3f} for the worst coordinate; {agree}.",
-        f"effective draws: {least:.0f} for the worst coordinate, {middle:.0f} in the median, of {chains * count}{enough}.",
+        f"effective draws: {least:.0f} for the worst coordinate, {middle:.0f} in the median, of {chains * count}{advice}.",
         f"divergences: {f'{diverged} of {chains * count} trajectories; a higher target acceptance is needed' if diverged else 'none'}.",
         f"leapfrog steps: {steps:.0f} for each draw, {int(np.sum(draws.leapfrog_steps))} in all, and {int(draws.warm_up_steps)} in warm-up; "
         f"{float(np.mean(draws.acceptance)):.0%} accepted.",
         f"seconds: {sampler:.0f} for the chains, {smoother:.0f} for the smoother, compilation included.",
-        f"the smoother's means lie within {apart:.2f} sd of the chains' means; the furthest is {name} in frame {frame}. "
+        f"the smoother's means lie within {difference:.2f} sd of the chains' means; the furthest is {name} in frame {frame}. "
         f"Sampling error of a difference: {error:.2f} sd or more.",
     ]
     return sentences
 
 
-def _apart(posterior: WindowPosterior) -> tuple[float, float, str, int]:
+def _largest_difference(posterior: WindowPosterior) -> tuple[float, float, str, int]:
     """Return the largest distance between the smoother's and the chains' means of the body's variable, its sampling error, and where it is."""
     variable = posterior.model.body.variable
     space = posterior.model.transition.space(variable, posterior.paths[variable].shape[2:])

@@ -167,8 +167,8 @@ class FrameArchive:
         block = self._block(frame // length * length, length)
         entry = self.entries[number]
         place = Place(self.run, number, self.entries[number - 1].digest if number else "")
-        alone = {"seconds": entry.seconds, "seconds_ready": entry.seconds_ready, "restarted": entry.restarted, **place._asdict()}
-        return {name: values[frame % length] for name, values in block.items()} | {name: np.asarray(value) for name, value in alone.items()}
+        entry_fields = {"seconds": entry.seconds, "seconds_ready": entry.seconds_ready, "restarted": entry.restarted, **place._asdict()}
+        return {name: values[frame % length] for name, values in block.items()} | {name: np.asarray(value) for name, value in entry_fields.items()}
 
     def _read_block(self, first: int, length: int) -> dict[str, NDArray[Any]]:
         """Return arrays of some frames, with the axis of the frames first."""

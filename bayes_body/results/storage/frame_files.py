@@ -105,12 +105,12 @@ class FrameFiles:
         if not result.figures:
             return result
         path = self._whole_path(self._count - 1)
-        whole = load_frame(path) if path.exists() else None
-        before = self._read(self._count - 1).place
-        if whole is None or whole.place != before:
-            problem = "missing" if whole is None else "belongs to another frame or run"
+        stored_frame = load_frame(path) if path.exists() else None
+        place = self._read(self._count - 1).place
+        if stored_frame is None or stored_frame.place != place:
+            problem = "missing" if stored_frame is None else "belongs to another frame or run"
             raise input_error(path, problem, WHOLE, "the run cannot go on: start again in another folder with --out")
-        return whole.result
+        return stored_frame.result
 
     def append(self, result: FrameResult, /) -> None:
         """Store the next frame. It is on the disk when this function returns.
@@ -150,17 +150,17 @@ class FrameFiles:
         return damage
 
     def _first_damage(self) -> str:
-        before = ""
+        previous_digest = ""
         for index in range(self._count):
             try:
                 stored = self._stored(index)
             except InputError as damage:
                 return self._end_before(index, str(damage))
             self._check_run(index, stored.place)
-            if (stored.place.number, stored.place.before) != (index, before):
+            if (stored.place.number, stored.place.before) != (index, previous_digest):
                 problem = f"was stored as frame {stored.place.number} of this run, or after another frame"
                 return self._end_before(index, str(input_error(self.path(index), problem, f"frame {index}", REMEDY)))
-            before = stored.digest
+            previous_digest = stored.digest
         return self._damage
 
     def archive(self, last_first: bool = False, watch: Watch = unwatched) -> bool:

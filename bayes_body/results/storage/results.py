@@ -58,10 +58,10 @@ class Results:
         Raises:
             InputError: the file system does not accept the manifest.
         """
-        before, still_names = self._manifest.stills, [path.relative_to(self.folder).as_posix() for path in stills]
+        previous_stills, still_names = self._manifest.stills, [path.relative_to(self.folder).as_posix() for path in stills]
         self._manifest = self._manifest.model_copy(update={"stills": still_names})
         self.add(OVERLAY_FILE)
-        for name in set(before) - set(still_names):
+        for name in set(previous_stills) - set(still_names):
             (self.folder / name).unlink(missing_ok=True)
 
 

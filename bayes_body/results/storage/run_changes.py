@@ -30,13 +30,15 @@ def check_plugins(folder: Path, stored_texts: Mapping[str, str]) -> None:
         InputError: a plugin is not loaded, or it has changed since the run was made.
     """
     loaded_texts = {plugin.path.name: plugin.text for plugin in loaded()}
-    where = f"{folder / RUN_FILE}: plugins"
+    subject = f"{folder / RUN_FILE}: plugins"
     for name, text in stored_texts.items():
         if name not in loaded_texts:
-            raise input_error(where, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}")
+            raise input_error(
+                subject, f"the run has terms of {name}, which is not loaded", "the run's plugins", f"give that file with --plugin {name}"
+            )
         if meaning(loaded_texts[name]) != meaning(text):
             remedy = f"put it back: its text is in {RUN_FILE}, under [plugins]; or start a new run in another folder"
-            raise input_error(where, f"{name} changed since the run was made", "the file that the run was made with", remedy)
+            raise input_error(subject, f"{name} changed since the run was made", "the file that the run was made with", remedy)
 
 
 def meaning(code: str) -> str:
@@ -64,9 +66,9 @@ DIGITS = 16
 def run_id(record: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the id of a run: a digest of everything on which its numbers depend, the first pose included. Its number of frames may change."""
     # 60 and 60.0 are the same number.
-    known: dict[str, Any] = {key: float(value) if type(value) is int else value for key, value in _comparable(record).items()}
-    known["first_pose"] = record.get("first_pose")
-    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]
+    values: dict[str, Any] = {key: float(value) if type(value) is int else value for key, value in _comparable(record).items()}
+    values["first_pose"] = record.get("first_pose")
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()[:DIGITS]
 
 
 def refuse_changes(folder: Path, stored_record: Mapping[str, Mapping[str, Any]], record: Mapping[str, Mapping[str, Any]]) -> None:
@@ -75,11 +77,13 @@ def refuse_changes(folder: Path, stored_record: Mapping[str, Mapping[str, Any]],
     Raises:
         InputError: something has changed; the sentence names it with the old and the new value.
     """
-    before, after = _comparable(stored_record), _comparable(record)
-    changed = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key) and key not in DESCRIPTIONS]
+    stored_values, new_values = _comparable(stored_record), _comparable(record)
+    changed = [
+        key for key in dict.fromkeys([*stored_values, *new_values]) if stored_values.get(key) != new_values.get(key) and key not in DESCRIPTIONS
+    ]
     if not changed:
         return
-    named = [_describe_change(key, before, after) for key in changed[:NAMED]]
+    named = [_describe_change(key, stored_values, new_values) for key in changed[:NAMED]]
     more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
     remedy = "change it back, or start a new run in another folder with --out"
     raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
@@ -118,10 +122,10 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from _leaves(entry, f"{path}.{key}" if path else key)
 
 
-def _describe_change(key: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+def _describe_change(key: str, stored_values: Mapping[str, Any], new_values: Mapping[str, Any]) -> str:
     if key.startswith(RECORDING):
         return f"the recording has changed ({key.removeprefix(RECORDING)})"
-    return f"{key} was {_shown(before, key)} and is now {_shown(after, key)}"
+    return f"{key} was {_shown(stored_values, key)} and is now {_shown(new_values, key)}"
 
 
 def _shown(values: Mapping[str, Any], key: str) -> str:

@@ -144,11 +144,11 @@ def describe(
     texts = {"title": definition.title, "text": definition.text, "body_text": definition.body_text or None}
     plugins = {plugin.path.name: plugin.text for plugin in providing(places_of(definition, kind))}
     return {
-        "run": _known(settings),
-        "kernel": _known({"kind": kind, **options}),
+        "run": _without_none(settings),
+        "kernel": _without_none({"kind": kind, **options}),
         **computing_here(),
         "inputs": dict(inputs or {}),
-        "definition": _known(texts),
+        "definition": _without_none(texts),
         "session": {"text": file.read_text(encoding="utf-8-sig")},
         **({"plugins": plugins} if plugins else {}),
     }
@@ -174,7 +174,7 @@ def places_of(definition: Definition, kernel: str) -> set[Place]:
     return {("dynamics", definition.dynamics.kind), ("kernel", kernel), *constraints, *likelihoods}
 
 
-def _known(table: Mapping[str, Any]) -> dict[str, Any]:
+def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return the table without values of None, since TOML has no null."""
     return {key: value for key, value in table.items() if value is not None}
 
@@ -191,9 +191,9 @@ def write_run_file(folder: Path, record: Mapping[str, Mapping[str, Any]]) -> str
         if name != "check":
             document[name] = {key: tomlkit.string(value, multiline=True) if _is_text(name, key) else value for key, value in table.items()}
     # The digests are of what a reader finds.
-    known = parse_toml(tomlkit.dumps(document), RUN_FILE)
-    check = {"format": FORMAT, "run": run_id(known)}
-    document["check"] = check | {"sha256": _seal(known | {"check": check})}
+    tables = parse_toml(tomlkit.dumps(document), RUN_FILE)
+    check = {"format": FORMAT, "run": run_id(tables)}
+    document["check"] = check | {"sha256": _seal(tables | {"check": check})}
     write_text(folder / RUN_FILE, tomlkit.dumps(document))
     return str(check["run"])
 
@@ -231,8 +231,8 @@ def read_record(folder: Path) -> dict[str, dict[str, Any]]:
 
 def _seal(record: Mapping[str, Any]) -> str:
     """Return a digest of all tables except `[check]`, and of the run's id."""
-    known = {name: table for name, table in record.items() if name != "check"} | {"id": record["check"]["run"]}
-    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()
+    tables = {name: table for name, table in record.items() if name != "check"} | {"id": record["check"]["run"]}
+    return hashlib.sha256(json.dumps(tables, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def refuse_links(folder: Path) -> None:

@@ -92,8 +92,8 @@ class SavedRun:
             InputError: its text cannot be used, or it does not have the run's first frame.
         """
         folder = Path(self.settings["session"])
-        where = f"{self.folder / RUN_FILE}: the session's text"
-        return excerpt(parse_session(parse_toml(self.texts["session"], where), folder, where), self.settings.get("first_frame"))
+        subject = f"{self.folder / RUN_FILE}: the session's text"
+        return excerpt(parse_session(parse_toml(self.texts["session"], subject), folder, subject), self.settings.get("first_frame"))
 
     @cached_property
     def changed_inputs(self) -> frozenset[str]:
@@ -115,8 +115,8 @@ class SavedRun:
             InputError: they cannot be used, the posterior belongs to another body, or a plugin of the run is not loaded.
         """
         check_plugins(self.folder, self.plugins)
-        name, where = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
-        model = build_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), where), self.session)
+        name, subject = Path(str(self.settings["model"])).stem, f"{self.folder / RUN_FILE}: the definition's text"
+        model = build_model(parse_definition(name, self.texts["text"], self.texts.get("body_text"), subject), self.session)
         first = configuration_space(model.body).axes[0]
         posterior = self.tree["posterior"].to_dataset()
         stored = np.asarray(posterior[first.name]).astype(str).tolist() if first.name in posterior.coords else []

@@ -38,11 +38,11 @@ def chain_section(inspection: Inspection) -> Markup:
         return section("chains", "Markov chains", tag("p", "The kernel runs no Markov chains."))
     frame = worst_mixed(mixing)
     draws = _draws(inspection, mixing, frame)
-    known = bool(np.isfinite(mixing.rhat).any())
+    has_rhat = bool(np.isfinite(mixing.rhat).any())
     parts = [tag("p", ABOUT), figures(_panels(inspection, mixing))]
     parts += (
         [figures([_rhat_map(inspection, mixing)], "wide")]
-        if known
+        if has_rhat
         else [tag("p", "There is no R-hat: each frame has a single chain or too few draws.")]
     )
     parts += [tag("h3", f"Frame {inspection.number(frame)}, with the worst mixing"), figures([_autocorrelations(inspection, mixing, draws, frame)])]

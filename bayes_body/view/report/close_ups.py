@@ -33,12 +33,12 @@ def arviz_plots() -> Iterator[None]:
     """Within it, pyplot, which ArviZ uses, draws without a window. The caller's backend is restored at the end."""
     import matplotlib as mpl
 
-    before = mpl.get_backend()
+    backend = mpl.get_backend()
     mpl.use("Agg")
     try:
         yield
     finally:
-        mpl.use(before)
+        mpl.use(backend)
 
 
 def _taken(draw: Callable[..., Any], size: tuple[float, float], **arguments: Any) -> "Figure":
@@ -127,12 +127,12 @@ def growth_plot(inspection: Inspection, sample: Sample, dof: int) -> Picture:
     figure = _taken(az.plot_ess_evolution, PANEL, dt=_tree(values), n_points=10, visuals={"min_ess": values.size >= ENOUGH})
     axes = _label(figure, title, "draws of all runs", "effective draws")
     axes.set_ylim(bottom=0)
-    bulk, tails, *enough = axes.get_lines()
+    bulk, tails, *limit_lines = axes.get_lines()
     for line, name, style in ((bulk, "bulk", run_line(0)), (tails, "tails", run_line(1))):
         line.set(color=paper(inspection.dofs[dof]), linestyle=style, label=name)
     for points in axes.collections:
         points.set_color(paper(inspection.dofs[dof]))
-    for line in enough:
+    for line in limit_lines:
         line.set(color=WARNING, linestyle="-")
     return encoded(figure, f"Effective sample size of {title} as draws are added.")
 
@@ -143,7 +143,7 @@ def forest_plot(inspection: Inspection, sample: Sample) -> Picture:
     import xarray as xr
 
     angular = np.array(inspection.units) == "°"
-    angles, together = sample.poses[..., angular], inspection.runs > FOREST_RUNS
+    angles, is_pooled = sample.poses[..., angular], inspection.runs > FOREST_RUNS
     middle = np.median(angles, axis=(0, 1))
     names = [spoken(name) for name, angle in zip(inspection.dofs, angular, strict=True) if angle]
     labels = [f"{name} {value:z.0f}°" for name, value in zip(names, middle, strict=True)]
@@ -153,8 +153,8 @@ def forest_plot(inspection: Inspection, sample: Sample) -> Picture:
         "labels": ["dof"],
         "point_estimate": "median",
         "ci_probs": (0.9, 0.9),
-        "combined": together,
-        "aes": {} if together else {"color": ["chain"]},
+        "combined": is_pooled,
+        "aes": {} if is_pooled else {"color": ["chain"]},
     }
     figure = _taken(az.plot_forest, (3.8, 0.8 + 0.3 * len(names)), dt=tree, visuals={"point_estimate": {"width": 2}}, **form)
     _set_forest(figure, f"Frame {inspection.number(sample.frame)}")

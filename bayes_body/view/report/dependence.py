@@ -86,8 +86,8 @@ def adjusted(r: Float[np.ndarray, "frame pair"], effective: Float[np.ndarray, "f
 def chosen_place(squares: Float[np.ndarray, "frame pair"], effective: Float[np.ndarray, " frame"]) -> int:
     """Return the index of the frame whose strongest PAIRS pairs have the largest mean adjusted square, among frames with FEWEST effective draws."""
     strongest = np.sort(np.maximum(squares, 0), axis=1)[:, -PAIRS:].sum(axis=1)
-    enough = effective >= min(FEWEST, effective.max())
-    return int(np.where(enough, strongest, -1.0).argmax())
+    has_enough = effective >= min(FEWEST, effective.max())
+    return int(np.where(has_enough, strongest, -1.0).argmax())
 
 
 def chosen_dofs(pairs: Sequence[tuple[int, int]]) -> list[int]:

@@ -112,8 +112,8 @@ def _by_layer(
 ) -> Picture:
     import matplotlib as mpl
 
-    known = np.isfinite(values).any(axis=(0, 1))
-    layers = np.flatnonzero(known)
+    has_values = np.isfinite(values).any(axis=(0, 1))
+    layers = np.flatnonzero(has_values)
     binned = bins(values.shape[1])
     colours = mpl.colormaps[SEQUENTIAL](np.linspace(0.35, 1, max(len(layers), 2)))
     figure, axes = frame_panel(inspection, title, inspection.x_label, y_label)
@@ -155,8 +155,8 @@ def _cameras(inspection: Inspection) -> Iterator[Picture]:
     axes.grid(visible=False)
     time_axis(axes, diagnosis.seen.shape[0], inspection.fps)
     axes.set_xlim(-0.5, diagnosis.seen.shape[0] - 0.5)
-    alone = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
-    yield encoded(figure, f"Fraction of frames in which each camera was used: {alone}.")
+    camera_shares = "; ".join(f"{name} in {share:.0%}" for name, share in zip(diagnosis.cameras, diagnosis.seen.mean(axis=0), strict=True))
+    yield encoded(figure, f"Fraction of frames in which each camera was used: {camera_shares}.")
 
 
 def _stretches(flags: Bool[np.ndarray, " frame"]) -> list[tuple[float, float]]:

@@ -74,8 +74,8 @@ def verdict(summary: Mapping[str, Any], warnings: Sequence[str], agreement_known
     if not warnings:
         return joined([*result, "The runs agree; no limit is crossed." if agreement_known else "No limit is crossed."])
     more = len(warnings) - 1
-    others = [f"{more} more {'warning' if more == 1 else 'warnings'} below."] if more else []
-    return joined([*result, Markup(f"Warning: {sentence(warnings[0], capital=False)}"), *others])
+    remaining_warnings = [f"{more} more {'warning' if more == 1 else 'warnings'} below."] if more else []
+    return joined([*result, Markup(f"Warning: {sentence(warnings[0], capital=False)}"), *remaining_warnings])
 
 
 def _result(summary: Mapping[str, Any]) -> list[str]:
@@ -86,9 +86,9 @@ def _result(summary: Mapping[str, Any]) -> list[str]:
     phrases = [form.format(summary[key]) for key, form in figures if summary.get(key) is not None]
     if summary.get("coverage_90") is not None:
         phrases.append(f"{100 * summary['coverage_90']:.0f}\u00a0% of the truth inside the 90\u00a0% intervals")
-    again = summary.get("frames_restarted") or []
+    restarts = summary.get("frames_restarted") or []
     frames = f"{summary['frames']:,} frame{'s' * (summary['frames'] != 1)} tracked, {summary.get('frames_lost') or 'none'} lost"
-    frames += f", restarted at frame{'s' * (len(again) > 1)} {', '.join(map(str, again))}" if again else ""
+    frames += f", restarted at frame{'s' * (len(restarts) > 1)} {', '.join(map(str, restarts))}" if restarts else ""
     return ["; ".join([frames, *phrases]) + "."]
 
 
@@ -111,18 +111,20 @@ def key_figures(summary: Mapping[str, Any], diagnosis: "Diagnosis", smoothed: bo
         diagnosis: the run's diagnostic figures.
         smoothed: whether the draws are paths. Their effective number is that of the different states of a frame.
     """
-    known = [row for row in TRUTH if summary.get(row[0]) is not None]
+    truth_rows = [row for row in TRUTH if summary.get(row[0]) is not None]
     fitted = [(key, label, form) for key, _, label, form in _fitted(summary)]
-    what, truth, quality = (
-        [(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, known, (*fitted, *QUALITY))
+    run_rows, truth, quality = (
+        [(label, written(summary[key], form)) for key, label, form in rows if key in summary] for rows in (WHAT, truth_rows, (*fitted, *QUALITY))
     )
     ess = f"{np.median(diagnosis.ess):.0f} (median), {diagnosis.ess.min():.0f} (minimum) of {diagnosis.particles:,}"
     rhat = written(_largest(diagnosis.rhat), "{:.2f}")
     effective = "different states of a frame" if smoothed else "effective particles"
     mine = [(effective, ess), ("R-hat over the runs, at most", rhat), ("log-evidence", _evidence(diagnosis))]
     if smoothed:
-        what = [("paths of each run" if label == "particles per run" else label, value) for label, value in what if label != "layers per frame"]
-    return tag("div", table((), what), table((), [*truth, *mine, *quality]), class_="pair")
+        run_rows = [
+            ("paths of each run" if label == "particles per run" else label, value) for label, value in run_rows if label != "layers per frame"
+        ]
+    return tag("div", table((), run_rows), table((), [*truth, *mine, *quality]), class_="pair")
 
 
 def _largest(values: np.ndarray) -> float:
@@ -162,16 +164,16 @@ KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 def command(run: "SavedRun") -> str:
     """Return `bayes-body track ...`, or `bayes-body smooth ...`, with the settings that are command-line options; the definition has the others."""
-    again = f"{run.folder.resolve()}_again"
+    new_folder = f"{run.folder.resolve()}_again"
     if run.smoothed:
-        words = ["bayes-body", "smooth", str(run.smoothing["folder"]), "--out", again]
+        words = ["bayes-body", "smooth", str(run.smoothing["folder"]), "--out", new_folder]
         return _with_options(words, {name: run.smoothing[name] for name in SMOOTHER_OPTIONS})
     settings = run.settings
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}
     options |= {name: settings[name] for name in ("runs", "first_frame", "frames", "seed") if name in settings}
     options |= {"keep": f"draws={settings['keep']}"} if settings.get("keep") else {}
-    return _with_options(["bayes-body", "track", str(settings["session"]), "--out", again], options)
+    return _with_options(["bayes-body", "track", str(settings["session"]), "--out", new_folder], options)
 
 
 def _with_options(words: list[str], options: Mapping[str, Any]) -> str:

@@ -25,14 +25,14 @@ class Picture(NamedTuple):
         alt: description for readers who cannot see it.
         caption: what to look for; empty if the picture is self-explanatory.
         inverts: whether it is drawn in dark ink on a transparent background, so that a dark page inverts it.
-        still: `data:` URI of the picture shown instead on paper, or if the reader's system asks for less motion.
+        still_uri: `data:` URI of the picture shown instead on paper, or if the reader's system asks for less motion.
     """
 
     uri: str
     alt: str
     caption: str = ""
     inverts: bool = True
-    still: str | None = None
+    still_uri: str | None = None
 
 
 def tag(name: str, *content: str, **attributes: str) -> Markup:
@@ -64,8 +64,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
 def figure(picture: Picture) -> Markup:
     """Return the picture with its caption."""
     image = Markup(f"<img{_attributes({'src': picture.uri, 'alt': picture.alt} | ({'class': 'plot'} if picture.inverts else {}))}>")
-    if picture.still:
-        quiet = Markup(f"<source{_attributes({'media': '(prefers-reduced-motion: reduce), print', 'srcset': picture.still})}>")
+    if picture.still_uri:
+        quiet = Markup(f"<source{_attributes({'media': '(prefers-reduced-motion: reduce), print', 'srcset': picture.still_uri})}>")
         image = tag("picture", quiet, image)
     return tag("figure", image, *([tag("figcaption", picture.caption)] if picture.caption else []))
 

@@ -30,7 +30,7 @@ class Quality(NamedTuple):
     """Quality of the pictures: widths in pixels, and WebP's quality (up to 100)."""
 
     still_width: int
-    still: int
+    still_quality: int
     width: int
     moving: int
 
@@ -76,12 +76,12 @@ def _read(path: Path) -> MatLike | None:
         return None
 
 
-def _picture(uri: str, alt: str, caption: str, still: str | None = None) -> Picture:
-    return Picture(uri, alt, caption, inverts=False, still=still)
+def _picture(uri: str, alt: str, caption: str, still_uri: str | None = None) -> Picture:
+    return Picture(uri, alt, caption, inverts=False, still_uri=still_uri)
 
 
 def _still_uri(image: MatLike, quality: Quality) -> str:
-    return webp_uri(narrowed(image, quality.still_width), quality.still)
+    return webp_uri(narrowed(image, quality.still_width), quality.still_quality)
 
 
 def narrowed(image: MatLike, width: int) -> MatLike:

@@ -123,8 +123,8 @@ def _silhouette_table(names: list[str], check: SilhouetteCheck) -> Markup:
         if expects:
             low, high = check.expected_overlap[:, c].T
             middle = percentiles(overlap, 50)
-            known = np.isfinite(middle) & np.isfinite(low)
-            cells += [_figure(median((low + high) / 2)), _percent(np.where(known, (low <= middle) & (middle <= high), np.nan))]
+            is_finite = np.isfinite(middle) & np.isfinite(low)
+            cells += [_figure(median((low + high) / 2)), _percent(np.where(is_finite, (low <= middle) & (middle <= high), np.nan))]
         rows.append([name, *cells])
     head = ["camera", "frames", "overlap, median", "overlap, 5 % quantile", "difference of the areas, median"]
     return table([*head, *(["predicted overlap", "frames inside its 90 %"] if expects else [])], rows)

@@ -52,7 +52,7 @@ def error_panels(inspection: Inspection, frames: Int[np.ndarray, " frame"], chec
 def silhouette_panels(
     inspection: Inspection,
     frames: Int[np.ndarray, " frame"],
-    what: str,
+    quantity: str,
     label: str,
     values: Float[np.ndarray, "frame camera draw"],
     expected: Float[np.ndarray, "frame camera end"],
@@ -62,7 +62,7 @@ def silhouette_panels(
     Args:
         inspection: the run.
         frames: the compared frames.
-        what: `overlap` or `area`.
+        quantity: `overlap` or `area`.
         label: of the vertical axis.
         values: the figure of each draw.
         expected: the ends of its predictive interval; NaN if there is none.
@@ -73,15 +73,15 @@ def silhouette_panels(
     for c, name in enumerate(cameras(inspection)):
         if not np.isfinite(values[:, c]).any():
             continue
-        figure, axes = _camera_panel(inspection, f"Camera {escaped(name)}: {what}", label)
+        figure, axes = _camera_panel(inspection, f"Camera {escaped(name)}: {quantity}", label)
         if np.isfinite(expected[:, c]).any():
             _band(axes, frames, expected[:, c, 0], expected[:, c, 1])
         if not inspection.diagnosis.mode_seeker:
             axes.vlines(frames, low[:, c], high[:, c], color=INK, alpha=0.3, linewidth=5)
         axes.plot(frames, middle[:, c], color=INK, **LINE)
-        if what == "area":
+        if quantity == "area":
             axes.axhline(0, color=GREY, linewidth=0.9)
-        axes.set_ylim(*((-reach, reach) if what == "area" else (0, 1.02)))
+        axes.set_ylim(*((-reach, reach) if quantity == "area" else (0, 1.02)))
         yield encoded(figure, f"Silhouettes of camera {name} over time, {label}: median {median(values[:, c]):.3g}.")
 
 
@@ -112,8 +112,8 @@ def median(values: Float[np.ndarray, "..."]) -> float:
 
 def percentile(values: Float[np.ndarray, "..."], share: int) -> float:
     """Return the percentile of what is known; NaN if nothing is."""
-    known = values[np.isfinite(values)]
-    return float(np.percentile(known, share)) if known.size else float("nan")
+    finite_values = values[np.isfinite(values)]
+    return float(np.percentile(finite_values, share)) if finite_values.size else float("nan")
 
 
 def percentiles(values: Float[np.ndarray, "*some each"], share: int) -> Float[np.ndarray, "*some"]:

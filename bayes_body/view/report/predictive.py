@@ -88,8 +88,8 @@ def keypoint_check(
     # With this definition of the quantile, a new draw from the same distribution is inside with probability 0.9, however few draws there are.
     low, high = np.quantile(drawn, ENDS, axis=0, method="weibull")
     inside = ((low <= keypoints[..., :2]) & (keypoints[..., :2] <= high)).mean(axis=-1)
-    far = np.linalg.norm(drawn - middle, axis=-1)
-    expected = np.array([np.percentile(far[:, c, mask], SHOWN) if mask.any() else (np.nan, np.nan) for c, mask in enumerate(present)])
+    distances = np.linalg.norm(drawn - middle, axis=-1)
+    expected = np.array([np.percentile(distances[:, c, mask], SHOWN) if mask.any() else (np.nan, np.nan) for c, mask in enumerate(present)])
     error = np.linalg.norm(keypoints[..., :2] - middle, axis=-1)
     return KeypointCheck(np.where(present, error, np.nan), expected, np.where(present, inside, np.nan))
 

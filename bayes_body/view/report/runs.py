@@ -43,8 +43,8 @@ def dof_map(inspection: Inspection, rhat: Float[np.ndarray, "frame dof"], title:
 
 def _binned(values: Float[np.ndarray, "frame dof"]) -> Float[np.ndarray, "bin dof"]:
     """Return the largest value in each bin of frames, so that no single large value is lost between pixels."""
-    known = np.nan_to_num(values, nan=-np.inf)
-    largest = np.stack([known[piece].max(axis=0) for piece in bins(len(values))])
+    filled = np.nan_to_num(values, nan=-np.inf)
+    largest = np.stack([filled[piece].max(axis=0) for piece in bins(len(values))])
     return np.where(np.isneginf(largest), np.nan, largest)
 
 
@@ -103,10 +103,10 @@ def _agreement(inspection: Inspection, samples: Sequence[Sample], dofs: Sequence
 def _close_ups(inspection: Inspection, worst: Sample, dofs: Sequence[int]) -> Iterator[Markup]:
     if not dofs:
         return
-    which = "on which the runs disagree most" if inspection.agreement_known else "with the widest distributions"
+    choice = "on which the runs disagree most" if inspection.agreement_known else "with the widest distributions"
     yield tag("h3", f"Posterior of frame {inspection.number(worst.frame)}")
     about = "Each line is a run, and shows the fraction of its draws below each value. If the runs agree, their lines coincide."
-    yield tag("p", f"The dofs {which}. {about}")
+    yield tag("p", f"The dofs {choice}. {about}")
     yield figures(distribution_plot(inspection, worst, dof) for dof in dofs)
     yield tag("h3", "Growth of the effective sample size")
     yield tag("p", GROWTH)

@@ -49,7 +49,7 @@ def truth_section(inspection: Inspection) -> Markup:
     seeker, step = inspection.diagnosis.mode_seeker, frames_a_point(inspection.run.frames)
     pictures = [_error(inspection, comparison), *([] if seeker else [_calibration(comparison)])]
     parts = [
-        *(tag("p", sentence) for sentence in told(comparison, seeker)),
+        *(tag("p", sentence) for sentence in describe_accuracy(comparison, seeker)),
         figures(pictures),
         tag("h3", "Error of each marker"),
         *([tag("p", OFFSET)] if comparison.fitted else []),
@@ -86,7 +86,7 @@ def _clouds(run: "SavedRun", frames: range) -> Clouds:
     return call
 
 
-def told(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
+def describe_accuracy(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
     """Return the figures in sentences: the error, the coverage, and the error with the skeletons' offset fitted.
 
     Args:
@@ -94,7 +94,7 @@ def told(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
         mode_seeker: whether the kernel is a mode seeker.
     """
     inspection = accuracy_figures(comparison, mode_seeker)
-    details = [f"{what} {inspection[key]:.0f} mm" for key, what in DETAILS if inspection[key] is not None]
+    details = [f"{label} {inspection[key]:.0f} mm" for key, label in DETAILS if inspection[key] is not None]
     spread = "" if inspection["error_mm_std"] is None else f" (standard deviation over the frames {inspection['error_mm_std']:.0f} mm)"
     sentences = [f"The mean markers are {inspection['error_mm_mean']:.0f} mm from the true ones{spread}; {', '.join(details)}."]
     if mode_seeker:
