@@ -12,7 +12,7 @@ known unknown whole others both all some none nothing later again still apart ne
 """
 EMPTY_WORDS = frozenset(WORDS.split())
 # Lower it where names become better. It is raised only with the list of words.
-MOST = 77
+MOST = 75
 
 
 def bound_names(tree: ast.AST) -> Iterator[str]:

@@ -142,7 +142,7 @@ class Backward:
         if self.smoother.options.start == "gaussian":
             nexts = None if next_position is None or next_position.begins else next_position.states
             states = self.steps.last_states(begin_key, particles) if nexts is None else self.steps.states_before(step_key, particles, nexts)
-            return _Laid(frame, states, self.steps.no_ancestors, self.steps.no_next_frames(self.steps.sampled(states)), None, filtered.begins)
+            return _Laid(frame, states, self.steps.no_ancestors, self.steps.none_ahead(self.steps.sampled(states)), None, filtered.begins)
         if next_position is None or next_position.begins:
             index = self.steps.begin(begin_key, particles)
             states, next_frames = self.steps.states_at(particles, index), None

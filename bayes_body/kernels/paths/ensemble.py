@@ -152,12 +152,12 @@ def flat_coordinates(particles: Particles, transition: Transition, chart: Chart)
     weights, drawn = jax.nn.softmax(particles.log_weights), jax.vmap(lambda state: sampled_of(transition, state))(particles.states)
     centre = {name: jnp.asarray(transition.space(name, leaf.shape[1:]).mean(weights, leaf)) for name, leaf in drawn.items()}
 
-    def near(sampled: State) -> State:
+    def unwind(sampled: State) -> State:
         return transition.near(sampled, centre)
 
     return Flat(
-        lambda state: {**state, **near(sampled_of(transition, state))},
-        lambda sampled: ravel_pytree(chart.unconstrain(near(sampled)))[0],
+        lambda state: {**state, **unwind(sampled_of(transition, state))},
+        lambda sampled: ravel_pytree(chart.unconstrain(unwind(sampled)))[0],
         lambda row: chart.constrain(unravel(row)),
         transition,
     )

@@ -82,7 +82,7 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
     """
     check_index(session, index)
     # First, because a video is read onwards.
-    before = read_frame(session, index - 1) if with_before and index else None
+    previous_frame = read_frame(session, index - 1) if with_before and index else None
     if seen is None:
         images = tuple(read_greys(session, index, view) for view in session.views)
         have_image = tuple(image is not None for image in images)
@@ -92,11 +92,11 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints = _keypoints(session, index, have_image)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), before, have_image)
+        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
     silhouettes = [_Silhouette(session, index, view, has_image) for view, has_image in zip(session.views, have_image, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), before, have_image)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
 
 
 def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
