@@ -133,27 +133,27 @@ def build_kernel(**options: Any) -> Kernel:
 def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempt:
     """Return the first attempt, or if it is bad the second."""
 
-    def attempt(before: Attempt) -> Attempt:
-        return _attempt(jax.random.fold_in(key, before.number), view, before, options)
+    def attempt(previous: Attempt) -> Attempt:
+        return _attempt(jax.random.fold_in(key, previous.number), view, previous, options)
 
-    shapes = jax.eval_shape(lambda: _nothing(view, count))
+    shapes = jax.eval_shape(lambda: _empty(view, count))
     first = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     more = 2 if options.more_starts > options.starts else 1
     return jax.lax.while_loop(lambda last: (last.number == 0) | (last.is_bad & (last.number < more)), attempt, first)
 
 
-def _nothing(view: GaussianView, count: int) -> Attempt:
+def _empty(view: GaussianView, count: int) -> Attempt:
     """Return an attempt without content."""
-    zero, none = jnp.zeros((), view.mean.dtype), jnp.zeros((), jnp.int32)
+    zero, count_zero = jnp.zeros((), view.mean.dtype), jnp.zeros((), jnp.int32)
     draws = jnp.zeros((count, view.mean.shape[0]), view.mean.dtype)
-    return Attempt(none, draws, draws, draws[:, 0], zero, jnp.zeros((), bool), zero, zero, zero, none, none)
+    return Attempt(count_zero, draws, draws, draws[:, 0], zero, jnp.zeros((), bool), zero, zero, zero, count_zero, count_zero)
 
 
-def _attempt(key: Key, view: GaussianView, before: Attempt, options: Options) -> Attempt:
+def _attempt(key: Key, view: GaussianView, previous: Attempt, options: Options) -> Attempt:
     start_key, draw_key = jax.random.split(key)
-    count, dof = before.draws.shape
+    count, dof = previous.draws.shape
     starts = max(options.starts, options.more_starts)
-    is_used = jnp.arange(starts) < jnp.where(before.number == 0, options.starts, starts)
+    is_used = jnp.arange(starts) < jnp.where(previous.number == 0, options.starts, starts)
     begin = jax.random.normal(start_key, (starts, dof), view.mean.dtype).at[0].set(0.0)
     modes = jax.lax.map(lambda start: find_mode(view, start[0], options.most_steps * start[1]), (begin, is_used))
     proposal = proposal_from(modes, is_used)
@@ -162,7 +162,7 @@ def _attempt(key: Key, view: GaussianView, before: Attempt, options: Options) ->
     weights = normalise(log_density - log_proposal)
     steps = jnp.sum(modes.steps)
     return Attempt(
-        number=before.number + 1,
+        number=previous.number + 1,
         # The prediction goes on where no draw explains the frame.
         draws=jnp.where(weights.lost, balanced_noise(draw_key, count, dof), draws),
         slopes=slopes,
@@ -172,9 +172,9 @@ def _attempt(key: Key, view: GaussianView, before: Attempt, options: Options) ->
         impossible=jnp.mean(~jnp.isfinite(log_density)),
         pareto_k=pareto_shape(weights.log_weights),
         modes=proposal.modes.astype(draws.dtype),
-        steps=before.steps + steps,
+        steps=previous.steps + steps,
         # An expansion pushes all dofs through the linearised kinematics.
-        evaluations=before.evaluations + count + steps * (dof + 1),
+        evaluations=previous.evaluations + count + steps * (dof + 1),
     )
 
 
@@ -206,15 +206,15 @@ def _by_tempering(
 ) -> tuple[Particles, FilterInfo]:
     """Return the frame as `tempered` samples it, with the figures of the failed attempts."""
     share_key, key = jax.random.split(key)
-    after, done = tempered(key, particles, density)
-    return after, info._replace(
-        ess=done.ess,
-        survival_rate=(done.ess / after.log_weights.shape[0])[None],
+    sampled, tempered_info = tempered(key, particles, density)
+    return sampled, info._replace(
+        ess=tempered_info.ess,
+        survival_rate=(tempered_info.ess / sampled.log_weights.shape[0])[None],
         # The evidence of `tempered` is relative to the prediction inside the constraints.
-        log_evidence=done.log_evidence + _log_allowed(share_key, view, after.log_weights.shape[0]),
-        lost=done.lost,
-        acceptance_rate=jnp.nanmean(done.acceptance_rate)[None],
-        evaluations=info.evaluations + done.evaluations,
+        log_evidence=tempered_info.log_evidence + _log_allowed(share_key, view, sampled.log_weights.shape[0]),
+        lost=tempered_info.lost,
+        acceptance_rate=jnp.nanmean(tempered_info.acceptance_rate)[None],
+        evaluations=info.evaluations + tempered_info.evaluations,
         modes={**info.modes, "attempt": jnp.full_like(info.modes["attempt"], 2)},
     )
 

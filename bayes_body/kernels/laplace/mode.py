@@ -60,24 +60,24 @@ def find_mode(view: GaussianView, start: Float[Array, " dof"], most_steps: int |
     """
     identity = jnp.eye(start.shape[0], dtype=start.dtype)
 
-    def at(z: Float[Array, " dof"]) -> Expansion:
+    def expansion_at(z: Float[Array, " dof"]) -> Expansion:
         value, gradient, precision = expand(view.density, view.state_at, z)
         return Expansion(value - 0.5 * jnp.sum(z * z), gradient - z, precision + identity)
 
     def step(search: _Search) -> _Search:
-        here = search.expansion
-        root = jax.scipy.linalg.cho_factor(here.precision + search.damping * identity, lower=True)
-        move = jax.scipy.linalg.cho_solve(root, here.gradient)
-        there = at(search.point + move)
+        current = search.expansion
+        root = jax.scipy.linalg.cho_factor(current.precision + search.damping * identity, lower=True)
+        move = jax.scipy.linalg.cho_solve(root, current.gradient)
+        proposed = expansion_at(search.point + move)
         # False for NaN, too.
-        is_better = there.value >= here.value - ROUNDING
-        point, expansion = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), (search.point + move, there), (search.point, here))
+        is_better = proposed.value >= current.value - ROUNDING
+        point, expansion = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), (search.point + move, proposed), (search.point, current))
         damping = jnp.where(is_better, EASED * search.damping, jnp.maximum(RAISED * search.damping, LEAST))
-        promise = jnp.where(is_better, 0.5 * jnp.sum(move * here.gradient), jnp.inf)
+        promise = jnp.where(is_better, 0.5 * jnp.sum(move * current.gradient), jnp.inf)
         return _Search(point, expansion, damping, search.steps + 1, promise)
 
     # Nothing is known at the start. The first step stays there, and expands the density: so the program holds the expansion once.
-    unknown = Expansion(jnp.array(-jnp.inf, start.dtype), jnp.zeros_like(start), identity)
-    first = _Search(start, unknown, jnp.zeros((), start.dtype), jnp.zeros((), jnp.int32), jnp.array(jnp.inf, start.dtype))
+    without_density = Expansion(jnp.array(-jnp.inf, start.dtype), jnp.zeros_like(start), identity)
+    first = _Search(start, without_density, jnp.zeros((), start.dtype), jnp.zeros((), jnp.int32), jnp.array(jnp.inf, start.dtype))
     last = jax.lax.while_loop(lambda s: (s.steps < most_steps) & ((s.promise > TOLERANCE) | (s.steps < 2)), step, first)
     return Mode(last.point, last.expansion.value, last.expansion.precision, last.steps)
