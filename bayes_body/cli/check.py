@@ -20,7 +20,7 @@ LARGEST_BINS = 200
 
 def check(
     model: str = typer.Argument(help="A definition's name (`bayes-body models`) or the path of your own."),
-    kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir, tempered, hmc or particle_bp; the model's own by default."),
+    kernel: str | None = typer.Option(None, "--kernel", help="annealed, sir, tempered, laplace, hmc or particle_bp; the model's own by default."),
     replications: int = typer.Option(
         200, "--replications", help="Number of truths that are drawn and filtered; up to four times as many where the result is close."
     ),

@@ -34,6 +34,7 @@ OPTIONS = {
     "sir": ("--particles", 100),
     "annealed": ("--particles", 40, "--layers", 5),
     "particle_bp": ("--particles", 60, "--set", "samples=60", "--set", "iterations=2"),
+    "laplace": ("--particles", "60"),
 }
 WHOLE = dict.fromkeys(OPTIONS, "silhouettes") | {"particle_bp": "loose_limbed_15"}
 OFF = ("does not fit the image", "does not cover the person", "no longer covers the person", "outside of the image", "can be a person's")
