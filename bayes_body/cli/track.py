@@ -35,8 +35,8 @@ def track(
     kernel: str | None = typer.Option(
         None,
         "--kernel",
-        help="laplace (keypoints), tempered, hmc, sir, particle_bp (parts), or annealed (a mode seeker: the pose without its uncertainty); by default "
-        "the model's own.",
+        help="laplace (keypoints), tempered, hmc, sir, particle_bp (parts), or annealed (a mode seeker: the pose without its uncertainty); by "
+        "default the model's own.",
     ),
     particles: int | None = typer.Option(None, "--particles", help="Particles per run."),
     layers: int | None = typer.Option(None, "--layers", help="Annealing layers per frame (annealed only)."),
