@@ -9,9 +9,10 @@ from bayes_body.view.colours import paper
 from bayes_body.view.report.activities import activity_details
 from bayes_body.view.report.curves import LEGEND, draw_filter, drawn_filter
 from bayes_body.view.report.dependence import density_details
-from bayes_body.view.report.figures import encoded, frame_panel, time_label
+from bayes_body.view.report.figures import encoded, time_label
 from bayes_body.view.report.inspection import Inspection, by_limb, spoken
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
+from bayes_body.view.report.panels import frame_panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,9 +14,10 @@ from bayes_body.results.posterior.mixing import Mixing, autocorrelation
 from bayes_body.view.colours import GREY, paper, run_line
 from bayes_body.view.crop import crop_about
 from bayes_body.view.overlay import run_backdrop
-from bayes_body.view.report.figures import draw_limit, encoded, median_and_range, new_panel, run_panel, webp_uri
+from bayes_body.view.report.figures import draw_limit, encoded, median_and_range, new_panel, webp_uri
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.report.panels import run_panel
 from bayes_body.view.report.runs import dof_map
 
 ABOUT = (

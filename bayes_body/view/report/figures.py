@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bayes_body.view.report.inspection import Inspection
-
 PANEL = (3.6, 2.5)
 # With more runs than this, their names would not fit beside a plot.
 NAMED = 6
@@ -83,23 +81,6 @@ def new_panel(title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> 
     axes = figure.add_subplot()
     axes.set(title=title, xlabel=x, ylabel=y)
     set_margins(figure)
-    return figure, axes
-
-
-def frame_panel(inspection: "Inspection", title: str, x: str, y: str, size: tuple[float, float] = PANEL) -> "tuple[Figure, Axes]":
-    """Return an empty panel over the frames of a run, with the lost frames shaded."""
-    figure, axes = new_panel(title, x, y, size)
-    shade_lost(axes, inspection.lost)
-    time_axis(axes, inspection.run.frames, inspection.fps)
-    return figure, axes
-
-
-def run_panel(inspection: "Inspection", title: str, y: str, values: Float[np.ndarray, "run frame"]) -> "tuple[Figure, Axes]":
-    """Return a panel with a line for each run over the frames."""
-    figure, axes = frame_panel(inspection, title, inspection.x_label, y)
-    draw_runs(axes, np.arange(values.shape[1]), values)
-    # Names of lines are placed by the limits of the axes, which would otherwise be found only when the panel is drawn.
-    axes.autoscale_view()
     return figure, axes
 
 

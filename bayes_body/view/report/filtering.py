@@ -7,21 +7,10 @@ from jaxtyping import Bool, Float
 
 from bayes_body.base.errors import escaped
 from bayes_body.view.colours import INK, SEQUENTIAL
-from bayes_body.view.report.figures import (
-    bins,
-    draw_limit,
-    encoded,
-    frame_panel,
-    log_counts,
-    log_values,
-    new_panel,
-    point_marks,
-    run_panel,
-    time_axis,
-    time_label,
-)
+from bayes_body.view.report.figures import bins, draw_limit, encoded, log_counts, log_values, new_panel, point_marks, time_axis, time_label
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.report.panels import frame_panel, run_panel
 
 
 def filter_section(inspection: Inspection) -> Markup:

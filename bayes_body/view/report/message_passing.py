@@ -8,9 +8,10 @@ from jaxtyping import Float
 
 from bayes_body.results.posterior.message_passing import PARTS, MessagePassing
 from bayes_body.view.colours import GREY, INK, paper, run_line
-from bayes_body.view.report.figures import draw_limit, encoded, frame_panel, log_counts, median_and_range, new_panel, point_marks, run_panel
+from bayes_body.view.report.figures import draw_limit, encoded, log_counts, median_and_range, new_panel, point_marks
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, tag
+from bayes_body.view.report.panels import frame_panel, run_panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,9 +16,10 @@ from bayes_body.base.errors import escaped
 from bayes_body.view.colours import GREY, INK, bgr, over_image, run_line
 from bayes_body.view.crop import Crop, crop_about
 from bayes_body.view.overlay import backdrop, label
-from bayes_body.view.report.figures import encoded, frame_panel, time_label, webp_uri
+from bayes_body.view.report.figures import encoded, time_label, webp_uri
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Picture
+from bayes_body.view.report.panels import frame_panel
 from bayes_body.view.report.predicted_silhouettes import body_masks, seen_mask
 from bayes_body.view.report.predictive import KeypointCheck, expected_pixels, marker_likelihood, moment, predicted_pixels, seen_keypoints
 

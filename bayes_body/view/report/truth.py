@@ -13,9 +13,10 @@ from bayes_body.results.metrics.truth import AgainstTruth, Cloud, Clouds, agains
 from bayes_body.results.posterior.blocks import pose_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
-from bayes_body.view.report.figures import encoded, frame_panel, frames_a_point, new_panel, point_marks, run_label, time_label
+from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, point_marks, run_label, time_label
 from bayes_body.view.report.inspection import Inspection, spoken
 from bayes_body.view.report.markup import Markup, Picture, figures, section, table, tag
+from bayes_body.view.report.panels import frame_panel
 
 if TYPE_CHECKING:
     from bayes_body.results.storage.saved_run import SavedRun
