@@ -1,5 +1,8 @@
 """The joint posterior of all frames as one Gaussian: the Kalman smoother where all is normal, and quadrature where a walk meets a limit."""
 
+import dataclasses
+import shutil
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +10,19 @@ import numpyro.distributions as dist
 import pytest
 
 from bayes_body.base.errors import InputError
+from bayes_body.base.geometry.camera import project
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.frames import stacked
 from bayes_body.kernels.paths import joint
 from bayes_body.kernels.paths.joint import FirstFrame, log_ratios, solve_path, window_log_weights
+from bayes_body.kernels.smc.particle_filter import build_kernel
+from bayes_body.model.build import build_model
 from bayes_body.model.dynamics.diffusion import TruncatedWalk
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.tracking.joint import solve, without_limits
+from bayes_body.tracking.track import track
 
 FRAMES, ENTRIES = 12, 4
 LOOK = np.array([[1.0, -0.5, 0.3, 0.0], [0.0, 1.0, 0.0, 0.2]])
@@ -196,3 +206,50 @@ def test_a_transition_without_centres_is_refused():
     beta = Transition("beta", jax.tree_util.Partial(lambda previous: {"pose": dist.Beta(1 + previous["pose"], 2.0).to_event(1)}), lambda *_: {})
     with pytest.raises(InputError, match="no walk of independent numbers"):
         solve_path(frames, beta, FirstFrame(jnp.zeros(2), jnp.eye(2)), start)
+
+
+# -- a filtered session -----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def arm_session(textured_session, tmp_path):
+    """Keypoints of an arm that bends slowly, without noise, in a folder of their own."""
+    model, count = build_model("arm_markers", textured_session), textured_session.frames
+    poses = model.initial["pose"] + 0.02 * jnp.arange(count)[:, None]
+    named = {name: index for index, name in enumerate(model.body.markers.names)}
+    views, pixels = [], jax.vmap(lambda pose: jax.vmap(lambda camera: project(camera, model.markers(pose))[0])(model.rig))(poses)
+    for number, view in enumerate(textured_session.views):
+        rows = np.zeros((count, len(MARKERS), 3))
+        for place, name in enumerate(MARKERS):
+            if name in named:
+                rows[:, place, :2], rows[:, place, 2] = pixels[:, number, named[name]], 1.0
+        write_series(tmp_path / f"{view.camera.name}.npz", KeypointSeries(rows, MARKERS, 0))
+        shutil.copytree(textured_session.folder / view.camera.name, tmp_path / view.camera.name)
+        views.append(dataclasses.replace(view, keypoints=f"{view.camera.name}.npz"))
+    return dataclasses.replace(textured_session, folder=tmp_path, views=tuple(views))
+
+
+@pytest.mark.slow
+def test_paths_of_a_filtered_session_are_stored_as_those_of_a_smoother(arm_session):
+    model = build_model("arm_markers", arm_session)
+    draws = track(jax.random.key(0), arm_session, model, build_kernel(), particles=500, runs=2)
+    paths = solve(arm_session, model, draws.frames, jax.random.key(1), draws=60)
+    assert len(paths.frames) == len(draws.frames) and paths.pareto_k.shape == (2, len(draws.frames))
+    for frame, filtered in zip(paths.frames, draws.frames, strict=True):
+        assert {name: values.shape[2:] for name, values in frame.states.items()} == {n: v.shape[2:] for n, v in filtered.states.items()}
+        assert frame.log_weights.shape == (2, 60) and np.isfinite(frame.states["pose"]).all()
+    # The posterior has one mode; both runs find it, from different starts.
+    means, spreads = (np.stack([of(frame.states["pose"], axis=1) for frame in paths.frames]) for of in (np.mean, np.std))
+    assert (np.abs(means[:, 0] - means[:, 1]) / spreads[:, 0]).max() < 4 * np.sqrt(2 / 30)
+
+
+@pytest.mark.slow
+def test_a_motion_prior_without_limits_is_the_same_far_from_them(keypoint_session):
+    model = build_model("arm_markers", keypoint_session)
+    state, low = dict(model.start(1).states), np.asarray(model.body.skeleton.low)
+    state = {name: value[0] for name, value in state.items()}
+    given, free = model.transition.conditional(state)["pose"], without_limits(model).conditional(state)["pose"]
+    assert np.isfinite(low).any() and not np.isfinite(free.low).any()
+    np.testing.assert_array_equal(free.scale, given.scale)
+    beyond = jnp.where(jnp.isfinite(model.body.skeleton.low), model.body.skeleton.low - 1, state["pose"])
+    assert np.isfinite(free.log_prob(beyond)) and not np.isfinite(given.log_prob(beyond))
