@@ -74,12 +74,12 @@ def solve(session: Session, model: Model, filtered: Frames, key: Key, draws: int
         problem = f"the filter started anew in frame {session.frame_number(restarted[0])}"
         raise input_error("the joint posterior of all frames", problem, "runs that go on through all frames", "smooth by paths")
     started = time.perf_counter()
-    prior_key, draw_key = jax.random.split(key)
-    before = everywhere(model.start(PRIOR_DRAWS, prior_key))
+    start_key, prior_key, draw_key = jax.random.split(key, 3)
+    start = everywhere(model.start(PRIOR_DRAWS, start_key))
     with closing(observations(session, model, range(len(filtered)))) as observed:
-        densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, before) for o in observed]
+        densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, start) for o in observed]
     frames = stacked(densities)
-    first, centre = _first_frame(prior_key, model.transition, before)
+    first, centre = _first_frame(prior_key, model.transition, start)
     unlimited = without_limits(model)
     runs = range(filtered[0].log_weights.shape[0])
     starts = [_means(model.transition, filtered, run, centre) for run in runs]
@@ -106,15 +106,15 @@ def without_limits(model: Model) -> Transition:
     return replace(model.transition, conditional=jax.tree.map(freed, model.transition.conditional))
 
 
-def _first_frame(key: Key, transition: Transition, before: Particles) -> tuple[FirstFrame, State]:
+def _first_frame(key: Key, transition: Transition, start: Particles) -> tuple[FirstFrame, State]:
     """Return the Gaussian prior of the first frame, and its mean as a state."""
-    count = before.log_weights.shape[0]
+    count = start.log_weights.shape[0]
     sampled = jax.jit(jax.vmap(lambda key, state: sampled_of(transition, transition.sample(key, state))))(
-        jax.random.split(key, count), dict(before.states)
+        jax.random.split(key, count), dict(start.states)
     )
     form = jax.tree.map(lambda leaf: leaf[0], sampled)
-    near = jax.vmap(lambda state: joined(transition.near(state, form)))(sampled)
-    mean, covariance = jnp.mean(near, axis=0), jnp.cov(near.T)
+    rows = jax.vmap(lambda state: joined(transition.near(state, form)))(sampled)
+    mean, covariance = jnp.mean(rows, axis=0), jnp.cov(rows.T)
     relative, absolute = FLOOR
     precision = jnp.linalg.inv(covariance + jnp.diag(relative * jnp.diagonal(covariance) + absolute))
     return FirstFrame(mean, precision), split(mean, form)
@@ -135,11 +135,11 @@ def _means(transition: Transition, filtered: Frames, run: int, centre: State) ->
 def _drawn(key: Key, frames: StackedFrames, solution: JointPath, start: State, count: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return whole states of paths (path, frame, ...), and Pareto k of each frame."""
     paths = jax.jit(lambda solution, key: solution.draw(key, count))(solution, key)
-    alone, into = log_ratios(frames, solution, paths, start)
+    log_weights = window_log_weights(*log_ratios(frames, solution, paths, start), half_width=HALF_WIDTH)
     form = jax.tree.map(lambda leaf: leaf[0], dict(start))
     inside = solution.inside(paths)
     states = jax.jit(jax.vmap(jax.vmap(lambda row: frames.transition.with_derived(split(row, form)))))(inside)
-    shapes = jax.jit(lambda alone, into: jax.vmap(pareto_shape, 1)(window_log_weights(alone, into, HALF_WIDTH)))(alone, into)
+    shapes = jax.jit(jax.vmap(pareto_shape, 1))(log_weights)
     return jax.device_get((states, shapes))
 
 
@@ -153,7 +153,7 @@ def _result(
 ) -> FrameResult:
     runs, draws = next(iter(states.values())).shape[:2]
     dtype = filtered.log_weights.dtype
-    ones, unknown = np.ones((runs, 1), dtype), np.full((runs, 1), np.nan, dtype)
+    ones, no_rate = np.ones((runs, 1), dtype), np.full((runs, 1), np.nan, dtype)
     steps = np.array([int(solution.steps) for solution in solutions])
     info: dict[str, Any] = {
         "ancestors": np.full((runs, draws), NO_ANCESTOR, np.int32),
@@ -162,7 +162,7 @@ def _result(
         "inverse_temperatures": ones,
         "log_evidence": np.asarray(filtered.info.log_evidence),
         "lost": np.asarray(filtered.info.lost),
-        "acceptance_rate": unknown,
+        "acceptance_rate": no_rate,
         "evaluations": (draws + steps).astype(np.int32),
         "modes": {"attempt": np.zeros(runs, np.int32), "steps": steps, "modes": np.ones(runs, dtype), "pareto_k": pareto_k[:, index]},
     }

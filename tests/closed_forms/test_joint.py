@@ -109,7 +109,7 @@ def test_all_weights_are_equal_where_all_is_normal():
 
 
 def test_a_coupling_of_the_wrong_frame_is_found_out(monkeypatch):
-    monkeypatch.setattr(joint, "_later", lambda couplings: couplings)
+    monkeypatch.setattr(joint, "_from_next", lambda couplings: couplings)
     jax.clear_caches()
     with pytest.raises(AssertionError):
         test_mean_and_marginals_are_those_of_the_kalman_smoother()

@@ -16,8 +16,13 @@ many steps. Here transitions go on beyond limits, and each limit is an approxima
 Gaussian site that gives an entry the moments of its truncated marginal (Cunningham, Hennig & Lacoste-Julien 2011). All sites are updated after each
 step. The result then is nearer to the mean of the posterior than to its mode, where the mode lies on a limit.
 
-The ratio of the exact density to the Gaussian is known at every path. In a window of frames it gives importance weights, and says by Pareto k
-whether the Gaussian is good enough there. Where an entry stays at a limit for many frames it is not: a truncated walk is sticky there.
+So paths stay inside the limits because they must, and not because a walk stops there. The normaliser of each truncated step, and a prediction that
+counts as the limit, have no site. Both draw a path to a limit that it touches for many frames: a truncated walk is sticky there. The Gaussian then
+lies too far from the limit, by up to two of its standard deviations, and the velocity is too near to 0.
+
+The ratio of the exact density to the Gaussian is known at every path. In a window of frames it gives importance weights, whose Pareto k says whether
+the Gaussian is good enough for these frames. It sees outliers and bent likelihoods. It may not see stickiness, which is small in a frame and adds up
+over many.
 """
 
 from functools import partial
@@ -76,15 +81,15 @@ class Links(NamedTuple):
 
     Attributes:
         value: their log-densities.
-        before: their gradients by the earlier frame.
-        after: their gradients by the later frame.
+        by_previous: their gradients by the earlier frame.
+        by_current: their gradients by the later frame.
         blocks: for each entry, minus the second derivatives by its value and its centre.
         slope: F, the derivative of the centres by the earlier frame.
     """
 
     value: Float[Array, " link"]
-    before: Float[Array, "link entry"]
-    after: Float[Array, "link entry"]
+    by_previous: Float[Array, "link entry"]
+    by_current: Float[Array, "link entry"]
     blocks: Float[Array, "link entry 2 2"]
     slope: Float[Array, "link entry entry"]
 
@@ -115,7 +120,7 @@ class Sites(NamedTuple):
         """Return the sum over the entries at these distances from the path."""
         return jnp.sum(self.slope * moved - 0.5 * self.precision * moved**2, axis=-1)
 
-    def at(self, moved: Float[Array, "frame entry"]) -> "Sites":
+    def recentred(self, moved: Float[Array, "frame entry"]) -> "Sites":
         """Return the same sites about a path at these distances."""
         return Sites(self.slope - self.precision * moved, self.precision)
 
@@ -200,14 +205,14 @@ def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dic
     path, dtype = jax.vmap(joined)(start), first.mean.dtype
     low, high = limits(frames.transition, form)
     terms_at = partial(_terms, frames, unlimited, form)
-    nothing = Sites(jnp.zeros_like(path), jnp.zeros_like(path))
+    no_sites = Sites(jnp.zeros_like(path), jnp.zeros_like(path))
 
     def step(search: _Search) -> _Search:
-        there = terms_at(search.path + search.move)
-        gain = _gain(search, there, first)
+        next_terms = terms_at(search.path + search.move)
+        gain = _gain(search, next_terms, first)
         # False for NaN, too.
         is_better = (gain >= -ROUNDING) | (search.steps < 0)
-        taken = (search.path + search.move, there, search.next_sites)
+        taken = (search.path + search.move, next_terms, search.next_sites)
         path, terms, sites = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), taken, search[:3])
         eased = jnp.where(search.damping > NONE, EASED * search.damping, 0.0)
         damping = jnp.where(is_better, eased, jnp.maximum(RAISED * search.damping, LEAST))
@@ -215,15 +220,15 @@ def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dic
         roots, couplings, y = _eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=dtype)), below, gradient)
         move = _solve_back(roots, couplings, y)
         variances = jnp.diagonal(_covariances(roots, couplings), axis1=1, axis2=2)
-        next_sites = _updated(sites, move, variances, low - path, high - path).at(move)
+        next_sites = _updated(sites, move, variances, low - path, high - path).recentred(move)
         promise = jnp.where(is_better, 0.5 * jnp.sum(move * gradient), jnp.inf)
         return _Search(path, terms, sites, move, next_sites, damping, search.steps + 1, promise)
 
     def is_unfinished(search: _Search) -> Array:
         return (search.steps < most_steps) & ((search.promise > TOLERANCE) | (search.steps < 1))
 
-    unknown = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(terms_at, path))
-    begun = _Search(path, unknown, nothing, jnp.zeros_like(path), nothing, jnp.zeros((), dtype), jnp.full((), -1), jnp.full((), jnp.inf, dtype))
+    no_terms = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(terms_at, path))
+    begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, jnp.zeros((), dtype), jnp.full((), -1), jnp.full((), jnp.inf, dtype))
     last = jax.lax.while_loop(is_unfinished, step, begun)
     gradient, diagonal, below = _assembled(last.path, last.terms, last.sites, first)
     roots, couplings, y = _eliminated(diagonal, below, gradient)
@@ -259,11 +264,11 @@ def log_ratios(
         states = jax.vmap(lambda row: frames.transition.with_derived(split(row, form)))(path)
         exact = jax.vmap(frames.alone)(frames.own, states)
         quadratic = terms.value + jnp.sum(terms.gradient * d, axis=1) - 0.5 * jnp.einsum("ti,tij,tj->t", d, terms.precision, d)
-        earlier, later = (jax.tree.map(lambda leaf, cut=cut: leaf[cut], states) for cut in (slice(-1), slice(1, None)))
-        linked = jax.vmap(frames.transition.log_density)(later, earlier)
+        previous, current = (jax.tree.map(lambda leaf, cut=cut: leaf[cut], states) for cut in (slice(-1), slice(1, None)))
+        linked = jax.vmap(frames.transition.log_density)(current, previous)
         ab = jnp.stack([d[1:], jnp.einsum("tij,tj->ti", links.slope, d[:-1])], axis=-1)
         bent = jnp.einsum("tki,tkij,tkj->t", ab, links.blocks, ab)
-        straight = links.value + jnp.sum(links.before * d[:-1], axis=1) + jnp.sum(links.after * d[1:], axis=1)
+        straight = links.value + jnp.sum(links.by_previous * d[:-1], axis=1) + jnp.sum(links.by_current * d[1:], axis=1)
         into = jnp.concatenate([jnp.zeros(1, path.dtype), linked - straight + 0.5 * bent])
         # The first frame has no transition that would say so.
         is_inside = jnp.all((path >= joint.low) & (path <= joint.high), axis=1)
@@ -273,26 +278,26 @@ def log_ratios(
         return over_particles(of_path, paths, (frames, joint), PATHS)
 
 
-def window_log_weights(alone: Float[Array, "draw frame"], into: Float[Array, "draw frame"], half_width: int) -> Float[Array, "draw frame"]:
+def window_log_weights(of_frames: Float[Array, "draw frame"], of_links: Float[Array, "draw frame"], half_width: int) -> Float[Array, "draw frame"]:
     """Return log-weights of paths for the window about each frame, up to a constant.
 
     They belong to the density whose terms are exact in the window, its transitions from the frame before it and to the frame after it included, and
     Gaussian elsewhere.
 
     Args:
-        alone: the ratios of frames, of `log_ratios`.
-        into: those of the transitions.
+        of_frames: the ratios of frames, of `log_ratios`.
+        of_links: those of the transitions.
         half_width: number of frames of the window on both sides of its middle.
     """
-    count = alone.shape[1]
+    count = of_frames.shape[1]
     frames = jnp.arange(count)
 
     def shifted(values: Array, by: int) -> Array:
         is_known = (frames + by >= 0) & (frames + by < count)
         return jnp.where(is_known, values[:, jnp.clip(frames + by, 0, count - 1)], 0.0)
 
-    terms = [shifted(alone, by) for by in range(-half_width, half_width + 1)]
-    return sum([shifted(into, by) for by in range(-half_width, half_width + 2)], sum(terms, jnp.zeros_like(alone)))
+    terms = [shifted(of_frames, by) for by in range(-half_width, half_width + 1)]
+    return sum([shifted(of_links, by) for by in range(-half_width, half_width + 2)], sum(terms, jnp.zeros_like(of_frames)))
 
 
 # -- terms ----------------------------------------------------------------------------------------------------------------------------------
@@ -302,12 +307,12 @@ def _terms(frames: Frames, unlimited: Transition, form: State, path: Float[Array
     read = _read(frames, form)
 
     def of_frame(item: tuple[Own, Array], frames: Frames) -> tuple[Scalar, Array, Array]:
-        own, row = item
+        frame, row = item
 
         def state_of(entries: Array) -> State:
             return frames.transition.with_derived(split(row.at[read].set(entries), form))
 
-        value, gradient, precision = expand(frames.density(own, Particles({}, jnp.zeros(1))), state_of, row[read])
+        value, gradient, precision = expand(frames.density(frame, Particles({}, jnp.zeros(1))), state_of, row[read])
         every = jnp.zeros((*row.shape, *row.shape), row.dtype).at[np.ix_(read, read)].set(precision)
         return value, jnp.zeros_like(row).at[read].set(gradient), every
 
@@ -324,25 +329,25 @@ def _read(frames: Frames, form: State) -> np.ndarray:
     return np.flatnonzero(np.concatenate([np.full(form[name].shape[0], derives or name in scope) for name in sorted(form)]))
 
 
-def _link(transition: Transition, form: State, before: Float[Array, " entry"], after: Float[Array, " entry"]) -> Links:
+def _link(transition: Transition, form: State, previous: Float[Array, " entry"], current: Float[Array, " entry"]) -> Links:
     """Return one transition near a pair of frames. All derivatives are those of its distributions' own `log_prob`."""
-    value, (by_before, by_after) = jax.value_and_grad(
-        lambda before, after: transition.log_density(split(after, form), split(before, form)), argnums=(0, 1)
-    )(before, after)
-    distributions = transition.conditional(split(before, form))
+    value, (by_previous, by_current) = jax.value_and_grad(
+        lambda previous, current: transition.log_density(split(current, form), split(previous, form)), argnums=(0, 1)
+    )(previous, current)
+    distributions = transition.conditional(split(previous, form))
 
     def about(values: Array, centres: Array) -> Scalar:
         a, b = split(values, form), split(centres, form)
         return sum((jnp.asarray(_centred(d, b[name]).log_prob(a[name])) for name, d in distributions.items()), jnp.zeros(()))
 
-    def centres(before: Array) -> Array:
-        return joined({name: _base(d).loc for name, d in transition.conditional(split(before, form)).items()})
+    def centres(previous: Array) -> Array:
+        return joined({name: _base(d).loc for name, d in transition.conditional(split(previous, form)).items()})
 
     # Entries are independent: one direction for values and one for centres give the second derivatives of all.
-    one, zero = jnp.ones_like(after), jnp.zeros_like(after)
-    at = (after, centres(before))
-    columns = [jnp.stack(jax.jvp(jax.grad(about, argnums=(0, 1)), at, direction)[1], axis=-1) for direction in ((one, zero), (zero, one))]
-    return Links(value, by_before, by_after, without_negative(-jnp.stack(columns, axis=-1)), jax.jacfwd(centres)(before))
+    ones, zeros = jnp.ones_like(current), jnp.zeros_like(current)
+    point = (current, centres(previous))
+    columns = [jnp.stack(jax.jvp(jax.grad(about, argnums=(0, 1)), point, direction)[1], axis=-1) for direction in ((ones, zeros), (zeros, ones))]
+    return Links(value, by_previous, by_current, without_negative(-jnp.stack(columns, axis=-1)), jax.jacfwd(centres)(previous))
 
 
 def _base(distribution: Distribution) -> Any:
@@ -356,9 +361,9 @@ def _centred(distribution: Distribution, centre: Array) -> Distribution:
     return jax.tree.unflatten(form, [centre if leaf is loc else leaf for leaf in leaves])
 
 
-def _gain(search: _Search, there: Terms, first: FirstFrame) -> Scalar:
+def _gain(search: _Search, next_terms: Terms, first: FirstFrame) -> Scalar:
     """Return how much larger the log-density is after the move. Differences come before sums, which are large."""
-    frames, links = there.value - search.terms.value, there.links.value - search.terms.links.value
+    frames, links = next_terms.value - search.terms.value, next_terms.links.value - search.terms.links.value
     d, move = search.path[0] - first.mean, search.move[0]
     prior = -(d + 0.5 * move) @ first.precision @ move
     return jnp.sum(frames) + jnp.sum(links) + prior + jnp.sum(search.sites.value(search.move))
@@ -367,7 +372,15 @@ def _gain(search: _Search, there: Terms, first: FirstFrame) -> Scalar:
 def _assembled(path: Array, terms: Terms, sites: Sites, first: FirstFrame) -> tuple[Array, Array, Array]:
     """Return the gradient, and the blocks D and O of the precision; the first O is 0."""
     links, every = terms.links, jnp.arange(path.shape[1])
-    gradient = (terms.gradient + sites.slope).at[1:].add(links.after).at[:-1].add(links.before).at[0].add(-first.precision @ (path[0] - first.mean))
+    gradient = (
+        (terms.gradient + sites.slope)
+        .at[1:]
+        .add(links.by_current)
+        .at[:-1]
+        .add(links.by_previous)
+        .at[0]
+        .add(-first.precision @ (path[0] - first.mean))
+    )
     back = jnp.einsum("tki,tk,tkj->tij", links.slope, links.blocks[..., 1, 1], links.slope)
     diagonal = terms.precision.at[:, every, every].add(sites.precision).at[1:, every, every].add(links.blocks[..., 0, 0])
     diagonal = diagonal.at[:-1].add(back).at[0].add(first.precision)
@@ -385,8 +398,8 @@ def _triangular(root: Array, right: Array, transposed: bool = False) -> Array:
 def _eliminated(diagonal: Array, below: Array, gradient: Array) -> tuple[Array, Array, Array]:
     """Return the roots L, the couplings W, and the reduced right side y, by elimination from the first frame to the last."""
 
-    def eliminate(known: tuple[Array, Array], frame: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-        (root, y), (block, link, slope) = known, frame
+    def eliminate(eliminated: tuple[Array, Array], frame: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
+        (root, y), (block, link, slope) = eliminated, frame
         coupling = _triangular(root, link.T)
         root = jnp.linalg.cholesky(block - coupling.T @ coupling)
         y = _triangular(root, slope - coupling.T @ y)
@@ -396,7 +409,7 @@ def _eliminated(diagonal: Array, below: Array, gradient: Array) -> tuple[Array, 
     return jax.lax.scan(eliminate, begun, (diagonal, below, gradient))[1]
 
 
-def _later(couplings: Array) -> Array:
+def _from_next(couplings: Array) -> Array:
     """Return for each frame its coupling with the next one."""
     return jnp.concatenate([couplings[1:], jnp.zeros_like(couplings[:1])])
 
@@ -404,26 +417,26 @@ def _later(couplings: Array) -> Array:
 def _solve_back(roots: Array, couplings: Array, y: Array) -> Array:
     """Solve the upper half of the elimination: for the reduced right side the step, for standard normal numbers a draw about 0."""
 
-    def substitute(later: Array, frame: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    def substitute(following: Array, frame: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         root, coupling, right = frame
-        x = _triangular(root, right - coupling @ later, transposed=True)
+        x = _triangular(root, right - coupling @ following, transposed=True)
         return x, x
 
-    return jax.lax.scan(substitute, jnp.zeros_like(y[0]), (roots, _later(couplings), y), reverse=True)[1]
+    return jax.lax.scan(substitute, jnp.zeros_like(y[0]), (roots, _from_next(couplings), y), reverse=True)[1]
 
 
 @jax.jit
 def _covariances(roots: Array, couplings: Array) -> Array:
     identity = jnp.eye(roots.shape[1], dtype=roots.dtype)
 
-    def substitute(later: Array, frame: tuple[Array, Array]) -> tuple[Array, Array]:
+    def substitute(following: Array, frame: tuple[Array, Array]) -> tuple[Array, Array]:
         root, coupling = frame
         inverse = _triangular(root, identity)
         gain = inverse.T @ coupling
-        covariance = inverse.T @ inverse + gain @ later @ gain.T
+        covariance = inverse.T @ inverse + gain @ following @ gain.T
         return covariance, covariance
 
-    return jax.lax.scan(substitute, jnp.zeros_like(roots[0]), (roots, _later(couplings)), reverse=True)[1]
+    return jax.lax.scan(substitute, jnp.zeros_like(roots[0]), (roots, _from_next(couplings)), reverse=True)[1]
 
 
 # -- limits -----------------------------------------------------------------------------------------------------------------------------------
