@@ -26,7 +26,7 @@ from bayes_body.density.gaussian_view import joined, split
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
 from bayes_body.kernels.batching import everywhere
 from bayes_body.kernels.laplace.pareto import pareto_shape
-from bayes_body.kernels.paths.joint import FirstFrame, JointPath, log_ratios, solve_path, window_log_weights
+from bayes_body.kernels.paths.joint.path import FirstFrame, JointPath, log_ratios, solve_path, window_log_weights
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import FrameResult, Frames

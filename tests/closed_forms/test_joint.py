@@ -14,8 +14,9 @@ from bayes_body.base.geometry.camera import project
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.frames import stacked
-from bayes_body.kernels.paths import joint
-from bayes_body.kernels.paths.joint import FirstFrame, log_ratios, solve_path, window_log_weights
+from bayes_body.kernels.paths.joint import elimination
+from bayes_body.kernels.paths.joint import path as joint
+from bayes_body.kernels.paths.joint.path import FirstFrame, log_ratios, solve_path, window_log_weights
 from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.model.dynamics.diffusion import TruncatedWalk
@@ -109,7 +110,7 @@ def test_all_weights_are_equal_where_all_is_normal():
 
 
 def test_a_coupling_of_the_wrong_frame_is_found_out(monkeypatch):
-    monkeypatch.setattr(joint, "_from_next", lambda couplings: couplings)
+    monkeypatch.setattr(elimination, "_from_next", lambda couplings: couplings)
     jax.clear_caches()
     with pytest.raises(AssertionError):
         test_mean_and_marginals_are_those_of_the_kalman_smoother()

@@ -26,22 +26,21 @@ over many.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
-from numpyro.distributions import Distribution, Independent
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Key, Scalar
-from bayes_body.density.coordinates import coordinates_after
-from bayes_body.density.expansion import expand, without_negative
-from bayes_body.density.factor import Particles, State, Transition, nothing_carried, nothing_derived
-from bayes_body.density.frames import Frames, Own
+from bayes_body.density.factor import State, Transition, nothing_carried
+from bayes_body.density.frames import Frames
 from bayes_body.density.gaussian_view import joined, split
 from bayes_body.kernels.batching import one_device, over_particles
+from bayes_body.kernels.paths.joint.elimination import eliminated, marginal_covariances, solve_back
+from bayes_body.kernels.paths.joint.limits import Sites, limits, updated
+from bayes_body.kernels.paths.joint.terms import Terms, base_of, terms_near
 
 # The search ends when a step promises less than this, nats.
 TOLERANCE = 0.05
@@ -50,18 +49,8 @@ MOST_STEPS = 30
 ROUNDING = 0.05
 # Factors of the damping after a step that is taken and after one that is refused, the least damping after the latter, and the damping that is none.
 EASED, RAISED, LEAST, NONE = 0.1, 10.0, 1e-3, 1e-6
-# Share of a new site in its update. Frames near a limit move together, and full updates overshoot: they go back and forth and never settle.
-SITE_SHARE = 0.65
-# Limits further away than this many standard deviations have no site.
-NEAR = 5.0
-# A limit further away than this many standard deviations has no effect on the inner side; on the outer, the tail beyond it is exponential: float32.
-FARTHEST = 8.0
-# The precision of a marginal without its own site is at least this share of its precision with it.
-LEAST_CAVITY = 1e-2
-# Frames in a batch, and paths in a batch.
-FRAMES, PATHS = 10, 4
-# A coordinate at which a limited entry is at its limit, in any unit.
-BEYOND = 1e6
+# Paths in a batch.
+PATHS = 4
 
 
 class FirstFrame(NamedTuple):
@@ -74,55 +63,6 @@ class FirstFrame(NamedTuple):
 
     mean: Float[Array, " entry"]
     precision: Float[Array, "entry entry"]
-
-
-class Links(NamedTuple):
-    """The transitions near a path, one for each pair of neighbouring frames.
-
-    Attributes:
-        value: their log-densities.
-        by_previous: their gradients by the earlier frame.
-        by_current: their gradients by the later frame.
-        blocks: for each entry, minus the second derivatives by its value and its centre.
-        slope: F, the derivative of the centres by the earlier frame.
-    """
-
-    value: Float[Array, " link"]
-    by_previous: Float[Array, "link entry"]
-    by_current: Float[Array, "link entry"]
-    blocks: Float[Array, "link entry 2 2"]
-    slope: Float[Array, "link entry entry"]
-
-
-class Terms(NamedTuple):
-    """All terms near a path.
-
-    Attributes:
-        value: the log-potentials of each frame's factors.
-        gradient: their gradients; 0 for entries that they do not read.
-        precision: their precisions; likewise.
-        links: the transitions.
-    """
-
-    value: Float[Array, " frame"]
-    gradient: Float[Array, "frame entry"]
-    precision: Float[Array, "frame entry entry"]
-    links: Links
-
-
-class Sites(NamedTuple):
-    """The Gaussian sites of the limits, about the path: `slope · d - precision · d² / 2` for an entry at a distance d from it."""
-
-    slope: Float[Array, "frame entry"]
-    precision: Float[Array, "frame entry"]
-
-    def value(self, moved: Float[Array, "*draw frame entry"]) -> Float[Array, "*draw frame"]:
-        """Return the sum over the entries at these distances from the path."""
-        return jnp.sum(self.slope * moved - 0.5 * self.precision * moved**2, axis=-1)
-
-    def recentred(self, moved: Float[Array, "frame entry"]) -> "Sites":
-        """Return the same sites about a path at these distances."""
-        return Sites(self.slope - self.precision * moved, self.precision)
 
 
 class JointPath(NamedTuple):
@@ -154,13 +94,13 @@ class JointPath(NamedTuple):
 
     def covariances(self) -> Float[Array, "frame entry entry"]:
         """Return the marginal covariance of each frame."""
-        return _covariances(self.roots, self.couplings)
+        return marginal_covariances(self.roots, self.couplings)
 
     def draw(self, key: Key, count: int) -> Float[Array, "draw frame entry"]:
         """Return draws of paths, in pairs on both sides of the mean. An entry near a limit may lie beyond it."""
         noise = jax.random.normal(key, ((count + 1) // 2, *self.mean.shape), self.mean.dtype)
         pairs = jnp.concatenate([noise, -noise])[:count]
-        return self.mean + jax.lax.map(lambda y: _solve_back(self.roots, self.couplings, y), pairs, batch_size=PATHS)
+        return self.mean + jax.lax.map(lambda y: solve_back(self.roots, self.couplings, y), pairs, batch_size=PATHS)
 
     def inside(self, paths: Float[Array, "*draw frame entry"]) -> Float[Array, "*draw frame entry"]:
         """Return paths whose entries beyond a limit are at it, as a motion prior takes a prediction beyond a limit."""
@@ -204,7 +144,7 @@ def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dic
     form = jax.tree.map(lambda leaf: leaf[0], start)
     path, dtype = jax.vmap(joined)(start), first.mean.dtype
     low, high = limits(frames.transition, form)
-    terms_at = partial(_terms, frames, unlimited, form)
+    terms_at = partial(terms_near, frames, unlimited, form)
     no_sites = Sites(jnp.zeros_like(path), jnp.zeros_like(path))
 
     def step(search: _Search) -> _Search:
@@ -217,10 +157,10 @@ def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dic
         eased = jnp.where(search.damping > NONE, EASED * search.damping, 0.0)
         damping = jnp.where(is_better, eased, jnp.maximum(RAISED * search.damping, LEAST))
         gradient, diagonal, below = _assembled(path, terms, sites, first)
-        roots, couplings, y = _eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=dtype)), below, gradient)
-        move = _solve_back(roots, couplings, y)
-        variances = jnp.diagonal(_covariances(roots, couplings), axis1=1, axis2=2)
-        next_sites = _updated(sites, move, variances, low - path, high - path).recentred(move)
+        roots, couplings, y = eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=dtype)), below, gradient)
+        move = solve_back(roots, couplings, y)
+        variances = jnp.diagonal(marginal_covariances(roots, couplings), axis1=1, axis2=2)
+        next_sites = updated(sites, move, variances, low - path, high - path).recentred(move)
         promise = jnp.where(is_better, 0.5 * jnp.sum(move * gradient), jnp.inf)
         return _Search(path, terms, sites, move, next_sites, damping, search.steps + 1, promise)
 
@@ -231,16 +171,9 @@ def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dic
     begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, jnp.zeros((), dtype), jnp.full((), -1), jnp.full((), jnp.inf, dtype))
     last = jax.lax.while_loop(is_unfinished, step, begun)
     gradient, diagonal, below = _assembled(last.path, last.terms, last.sites, first)
-    roots, couplings, y = _eliminated(diagonal, below, gradient)
-    mean = last.path + _solve_back(roots, couplings, y)
+    roots, couplings, y = eliminated(diagonal, below, gradient)
+    mean = last.path + solve_back(roots, couplings, y)
     return JointPath(mean, last.path, roots, couplings, last.terms, last.sites, low, high, last.steps, last.promise)
-
-
-def limits(transition: Transition, state: State) -> tuple[Float[Array, " entry"], Float[Array, " entry"]]:
-    """Return the lower and the upper limits of the entries of a state, ∓∞ without one: where its unconstrained coordinates lead."""
-    chart = coordinates_after(transition, state)
-    low, high = (joined(chart.constrain({name: jnp.full_like(value, end) for name, value in state.items()})) for end in (-BEYOND, BEYOND))
-    return jnp.where(low <= -BEYOND, -jnp.inf, low), jnp.where(high >= BEYOND, jnp.inf, high)
 
 
 @jax.jit
@@ -262,7 +195,7 @@ def log_ratios(
         terms, links = joint.terms, joint.terms.links
         d = path - joint.point
         states = jax.vmap(lambda row: frames.transition.with_derived(split(row, form)))(path)
-        exact = jax.vmap(frames.alone)(frames.own, states)
+        exact = jax.vmap(frames.log_single_frame)(frames.inputs, states)
         quadratic = terms.value + jnp.sum(terms.gradient * d, axis=1) - 0.5 * jnp.einsum("ti,tij,tj->t", d, terms.precision, d)
         previous, current = (jax.tree.map(lambda leaf, cut=cut: leaf[cut], states) for cut in (slice(-1), slice(1, None)))
         linked = jax.vmap(frames.transition.log_density)(current, previous)
@@ -300,67 +233,6 @@ def window_log_weights(of_frames: Float[Array, "draw frame"], of_links: Float[Ar
     return sum([shifted(of_links, by) for by in range(-half_width, half_width + 2)], sum(terms, jnp.zeros_like(of_frames)))
 
 
-# -- terms ----------------------------------------------------------------------------------------------------------------------------------
-
-
-def _terms(frames: Frames, unlimited: Transition, form: State, path: Float[Array, "frame entry"]) -> Terms:
-    read = _read(frames, form)
-
-    def of_frame(item: tuple[Own, Array], frames: Frames) -> tuple[Scalar, Array, Array]:
-        frame, row = item
-
-        def state_of(entries: Array) -> State:
-            return frames.transition.with_derived(split(row.at[read].set(entries), form))
-
-        value, gradient, precision = expand(frames.density(frame, Particles({}, jnp.zeros(1))), state_of, row[read])
-        every = jnp.zeros((*row.shape, *row.shape), row.dtype).at[np.ix_(read, read)].set(precision)
-        return value, jnp.zeros_like(row).at[read].set(gradient), every
-
-    of_frames = over_particles(of_frame, (frames.own, path), frames, FRAMES)
-    links = over_particles(lambda rows, transition: _link(transition, form, *rows), (path[:-1], path[1:]), unlimited, FRAMES)
-    value, gradient, precision = of_frames
-    return Terms(value, gradient, precision, links)
-
-
-def _read(frames: Frames, form: State) -> np.ndarray:
-    """Return the indices of the entries that factors read. If variables are derived, which may come from any of them, these are all."""
-    scope = {variable.name for factor in frames.factors for variable in factor.scope}
-    derives = getattr(frames.transition.derive, "func", frames.transition.derive) is not nothing_derived
-    return np.flatnonzero(np.concatenate([np.full(form[name].shape[0], derives or name in scope) for name in sorted(form)]))
-
-
-def _link(transition: Transition, form: State, previous: Float[Array, " entry"], current: Float[Array, " entry"]) -> Links:
-    """Return one transition near a pair of frames. All derivatives are those of its distributions' own `log_prob`."""
-    value, (by_previous, by_current) = jax.value_and_grad(
-        lambda previous, current: transition.log_density(split(current, form), split(previous, form)), argnums=(0, 1)
-    )(previous, current)
-    distributions = transition.conditional(split(previous, form))
-
-    def about(values: Array, centres: Array) -> Scalar:
-        a, b = split(values, form), split(centres, form)
-        return sum((jnp.asarray(_centred(d, b[name]).log_prob(a[name])) for name, d in distributions.items()), jnp.zeros(()))
-
-    def centres(previous: Array) -> Array:
-        return joined({name: _base(d).loc for name, d in transition.conditional(split(previous, form)).items()})
-
-    # Entries are independent: one direction for values and one for centres give the second derivatives of all.
-    ones, zeros = jnp.ones_like(current), jnp.zeros_like(current)
-    point = (current, centres(previous))
-    columns = [jnp.stack(jax.jvp(jax.grad(about, argnums=(0, 1)), point, direction)[1], axis=-1) for direction in ((ones, zeros), (zeros, ones))]
-    return Links(value, by_previous, by_current, without_negative(-jnp.stack(columns, axis=-1)), jax.jacfwd(centres)(previous))
-
-
-def _base(distribution: Distribution) -> Any:
-    return distribution.base_dist if isinstance(distribution, Independent) else distribution
-
-
-def _centred(distribution: Distribution, centre: Array) -> Distribution:
-    """Return the distribution with another centre."""
-    loc = _base(distribution).loc
-    leaves, form = jax.tree.flatten(distribution)
-    return jax.tree.unflatten(form, [centre if leaf is loc else leaf for leaf in leaves])
-
-
 def _gain(search: _Search, next_terms: Terms, first: FirstFrame) -> Scalar:
     """Return how much larger the log-density is after the move. Differences come before sums, which are large."""
     frames, links = next_terms.value - search.terms.value, next_terms.links.value - search.terms.links.value
@@ -388,99 +260,6 @@ def _assembled(path: Array, terms: Terms, sites: Sites, first: FirstFrame) -> tu
     return gradient, diagonal, below
 
 
-# -- block elimination ------------------------------------------------------------------------------------------------------------------------
-
-
-def _triangular(root: Array, right: Array, transposed: bool = False) -> Array:
-    return jax.scipy.linalg.solve_triangular(root, right, lower=True, trans=int(transposed))
-
-
-def _eliminated(diagonal: Array, below: Array, gradient: Array) -> tuple[Array, Array, Array]:
-    """Return the roots L, the couplings W, and the reduced right side y, by elimination from the first frame to the last."""
-
-    def eliminate(eliminated: tuple[Array, Array], frame: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-        (root, y), (block, link, slope) = eliminated, frame
-        coupling = _triangular(root, link.T)
-        root = jnp.linalg.cholesky(block - coupling.T @ coupling)
-        y = _triangular(root, slope - coupling.T @ y)
-        return (root, y), (root, coupling, y)
-
-    begun = (jnp.eye(gradient.shape[1], dtype=gradient.dtype), jnp.zeros_like(gradient[0]))
-    return jax.lax.scan(eliminate, begun, (diagonal, below, gradient))[1]
-
-
-def _from_next(couplings: Array) -> Array:
-    """Return for each frame its coupling with the next one."""
-    return jnp.concatenate([couplings[1:], jnp.zeros_like(couplings[:1])])
-
-
-def _solve_back(roots: Array, couplings: Array, y: Array) -> Array:
-    """Solve the upper half of the elimination: for the reduced right side the step, for standard normal numbers a draw about 0."""
-
-    def substitute(following: Array, frame: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        root, coupling, right = frame
-        x = _triangular(root, right - coupling @ following, transposed=True)
-        return x, x
-
-    return jax.lax.scan(substitute, jnp.zeros_like(y[0]), (roots, _from_next(couplings), y), reverse=True)[1]
-
-
-@jax.jit
-def _covariances(roots: Array, couplings: Array) -> Array:
-    identity = jnp.eye(roots.shape[1], dtype=roots.dtype)
-
-    def substitute(following: Array, frame: tuple[Array, Array]) -> tuple[Array, Array]:
-        root, coupling = frame
-        inverse = _triangular(root, identity)
-        gain = inverse.T @ coupling
-        covariance = inverse.T @ inverse + gain @ following @ gain.T
-        return covariance, covariance
-
-    return jax.lax.scan(substitute, jnp.zeros_like(roots[0]), (roots, _from_next(couplings)), reverse=True)[1]
-
-
-# -- limits -----------------------------------------------------------------------------------------------------------------------------------
-
-
-def _updated(sites: Sites, move: Array, variances: Array, low: Array, high: Array) -> Sites:
-    """Return the sites about the path after one update. All arguments are (frame, entry), and relative to the path.
-
-    Args:
-        sites: the sites.
-        move: the mean of the Gaussian.
-        variances: its marginal variances.
-        low: the lower limits.
-        high: the upper limits.
-    """
-    precision = jnp.maximum(1 / variances - sites.precision, LEAST_CAVITY / variances)
-    mean = (move / variances - sites.slope) / precision
-    shift, share = _truncated_moments((low - mean) * jnp.sqrt(precision), (high - mean) * jnp.sqrt(precision))
-    matched = precision / share
-    is_near = jnp.minimum(mean - low, high - mean) * jnp.sqrt(precision) < NEAR
-    slope = jnp.where(is_near, matched * (mean + shift / jnp.sqrt(precision)) - precision * mean, 0.0)
-    strength = jnp.where(is_near, jnp.maximum(matched - precision, 0.0), 0.0)
-    return Sites(sites.slope + SITE_SHARE * (slope - sites.slope), sites.precision + SITE_SHARE * (strength - sites.precision))
-
-
-def _truncated_moments(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the mean and the variance of a standard normal number between two limits."""
-    has_low, has_high, outside = low > -FARTHEST, high < FARTHEST, jnp.maximum(low, -high)
-    tail = jnp.maximum(outside, 1.0)
-    # A tail beyond z has about the mean z + 1 / z and the variance 1 / z².
-    far_mean, far_variance = jnp.where(low > -high, 1.0, -1.0) * (tail + 1 / tail), 1 / tail**2
-    low, high = jnp.clip(low, -FARTHEST, FARTHEST), jnp.clip(high, -FARTHEST, FARTHEST)
-    cdf, pdf = jax.scipy.stats.norm.cdf, jax.scipy.stats.norm.pdf
-    # In the upper tail the difference of the complements keeps its digits.
-    mass = jnp.where(low > 0, cdf(-low) - cdf(-high), cdf(high) - cdf(low))
-    mass = jnp.maximum(mass, jnp.finfo(mass.dtype).tiny)
-    at_low, at_high = jnp.where(has_low, pdf(low), 0.0) / mass, jnp.where(has_high, pdf(high), 0.0) / mass
-    mean = at_low - at_high
-    # What rounding leaves of the difference is never less than the variance of an exponential tail nearly is.
-    variance = jnp.maximum(1 + low * at_low - high * at_high - mean**2, 1 / (3 + jnp.maximum(outside, 0.0) ** 2))
-    is_far = outside >= FARTHEST
-    return jnp.where(is_far, far_mean, mean), jnp.where(is_far, far_variance, variance)
-
-
 def _check(frames: Frames, unlimited: Transition, start: State) -> None:
     needed_by, remedy = "the joint posterior of all frames", "smooth by paths"
     transition = frames.transition
@@ -491,7 +270,7 @@ def _check(frames: Frames, unlimited: Transition, start: State) -> None:
         problem = f"the dynamics '{transition.name}' carry more along than the sampled variables of one frame"
         raise input_error(needed_by, problem, "dynamics that depend on the pose of the frame before alone", remedy)
     state = jax.tree.map(lambda leaf: leaf[0], dict(start))
-    has_centres = all(hasattr(_base(distribution), "loc") for distribution in unlimited.conditional(state).values())
+    has_centres = all(hasattr(base_of(distribution), "loc") for distribution in unlimited.conditional(state).values())
     if transition.chart is not None or not has_centres or any(value.ndim != 1 for value in state.values()):
         problem = f"the dynamics '{transition.name}' are no walk of independent numbers about a centre"
         raise input_error(needed_by, problem, "dynamics such as constant_velocity or diffusion", remedy)

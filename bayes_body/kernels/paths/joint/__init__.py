@@ -1,0 +1,1 @@
+"""The joint posterior of all frames of a recording as one Gaussian."""
