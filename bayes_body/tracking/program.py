@@ -22,7 +22,7 @@ from jax.stages import Lowered
 from jaxtyping import Array
 
 from bayes_body.base.registry import find, names
-from bayes_body.base.shapes import Key
+from bayes_body.base.shapes import Key, Keys
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel
@@ -50,7 +50,7 @@ class Layout(NamedTuple):
         """Return what all runs have in common, on every device that is used."""
         return jax.device_put(tree, NamedSharding(self._mesh, PartitionSpec())) if self.devices else everywhere(tree)
 
-    def stack(self, keys: list[Key], filters: list[Particles]) -> tuple[Key, Particles]:
+    def stack(self, keys: list[Key], filters: list[Particles]) -> tuple[Keys, Particles]:
         """Return the keys and the particles of all runs, spread over the devices."""
         spread = NamedSharding(self._mesh, PartitionSpec(DEVICES))
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *filters)
@@ -100,7 +100,7 @@ def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, densi
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return kernel(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
 
-    def frame_of_runs(run_keys: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+    def frame_of_runs(run_keys: Keys, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return jax.lax.map(lambda run: frame_of_run(run[0], frame, run[1], density), (run_keys, particles))
 
     frame = layout.place(np.int32(0))
