@@ -25,7 +25,8 @@ def kernel_options(
     """Return a kernel's name and its validated options.
 
     The options are those of the definition if it names this kernel, else the kernel's defaults. `overrides` replace single options.
-    If no kernel is named, and the recording has too few cameras for that of the definition, it is another one (`registry.FewCameras`).
+    If no kernel is named, and the recording has too few cameras for that of the definition, it is another one (`registry.FewCameras`). That one has
+    the options that stand there, also if it is named.
 
     Args:
         definition: the model's definition.
@@ -37,10 +38,14 @@ def kernel_options(
     Raises:
         InputError: there is no such kernel, it has no such option, or an option's value is not allowed.
     """
-    few, overrides = few_cameras(definition.kernel.kind, cameras) if kind is None else None, overrides or {}
-    kind = few.kernel if few else kind or definition.kernel.kind
-    schema = find("kernel", kind).options
-    options = dict(few.options) if few else definition.kernel.options.model_dump() if kind == definition.kernel.kind else {}
+    few, overrides = few_cameras(definition.kernel.kind, cameras), overrides or {}
+    kind = kind or (few.kernel if few else definition.kernel.kind)
+    schema, alternative = find("kernel", kind).options, find("kernel", definition.kernel.kind).few_cameras
+    options: dict[str, Any] = {}
+    if kind == definition.kernel.kind:
+        options = definition.kernel.options.model_dump()
+    elif alternative and kind == alternative.kernel:
+        options = dict(alternative.options)
     if stored and stored.get("kind") == kind:
         options = {name: value for name, value in stored.items() if name != "kind"}
     for name in overrides:
@@ -64,12 +69,11 @@ def kernel_sentences(definition: Definition, kind: str, cameras: int) -> tuple[s
         kind: the kernel that is used.
         cameras: number of cameras that see what the model reads.
     """
-    own = find("kernel", definition.kernel.kind).few_cameras
-    seeing = f"{cameras} camera{'s' if cameras > 1 else ''}"
-    few = few_cameras(definition.kernel.kind, cameras)
+    alternative, few = find("kernel", definition.kernel.kind).few_cameras, few_cameras(definition.kernel.kind, cameras)
+    seeing = f"{cameras} camera{'' if cameras == 1 else 's'}"
     line = ""
-    if own and kind == definition.kernel.kind and not few:
-        line = f"kernel     {kind}, because {seeing} see the person; --kernel names another."
+    if alternative and kind == definition.kernel.kind and not few:
+        line = f"kernel     {kind}, because {seeing} have what the model reads; --kernel names another."
     if few and kind == few.kernel:
         line = f"kernel     {kind}, because with {seeing} {few.reason}; --kernel names another."
     unfit = few_cameras(kind, cameras)

@@ -182,10 +182,8 @@ def test_the_tail_of_the_weights_is_that_of_the_diagnostics():
     sets = [rng.normal(size=400) * scale for scale in (0.1, 1.0, 3.0)] + [np.zeros(400), np.r_[np.zeros(399), 50.0]]
     for log_weights in sets:
         inside, outside = float(pareto_shape(jnp.asarray(log_weights, jnp.float32))), float(pareto.pareto_shape(log_weights.astype(np.float32)))
-        if np.isfinite(outside):
-            np.testing.assert_allclose(inside, outside, atol=2e-3)
-        else:
-            assert not inside <= 0.7 or np.isnan(inside) or outside == -np.inf
+        # In a program, a tail of equal weights has no shape.
+        np.testing.assert_allclose(inside, np.nan if outside == -np.inf else outside, atol=2e-3)
 
 
 def test_composed_and_plain_factors_have_the_same_expansion():

@@ -6,7 +6,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.base.registry import names
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.model.kernel_options import kernel_options
+from bayes_body.model.kernel_options import kernel_options, kernel_sentences
 
 
 def test_the_definition_s_kernel_has_the_definition_s_options():
@@ -64,3 +64,23 @@ def test_an_option_that_a_script_cannot_change_is_refused(textured_session, chan
 def test_a_kernel_that_does_not_exist_is_refused(textured_session):
     with pytest.raises(InputError, match="kernel 'temperd' does not exist; did you mean 'tempered'"):
         build_model("silhouettes", textured_session).kernel("temperd")
+
+
+def test_keypoints_of_one_camera_get_the_kernel_that_sees_both_ways_of_a_limb():
+    keypoints = load_definition("keypoints")
+    assert [kernel_options(keypoints, cameras=cameras)[0] for cameras in (1, 2, 4, None)] == ["tempered", "laplace", "laplace", "laplace"]
+    # Named or not, it has the options that suit the model.
+    for kind, options in (kernel_options(keypoints, cameras=1), kernel_options(keypoints, "tempered", cameras=4)):
+        assert (kind, options.prediction, options.particles) == ("tempered", "gaussian", 1000)
+    assert kernel_options(load_definition("silhouettes"), cameras=1)[0] == "tempered"
+
+
+def test_the_choice_is_said_and_a_kernel_for_more_cameras_is_warned_of():
+    keypoints = load_definition("keypoints")
+    line, warning = kernel_sentences(keypoints, "laplace", 4)
+    assert line == "kernel     laplace, because 4 cameras have what the model reads; --kernel names another." and not warning
+    line, warning = kernel_sentences(keypoints, "tempered", 1)
+    assert line.startswith("kernel     tempered, because with 1 camera a limb may be bent") and not warning
+    line, warning = kernel_sentences(keypoints, "laplace", 1)
+    assert not line and warning.startswith("the kernel laplace with 1 camera: a limb may be bent") and warning.endswith("use --kernel tempered.")
+    assert kernel_sentences(load_definition("silhouettes"), "tempered", 1) == ("", "")

@@ -70,7 +70,7 @@ class Attempt(NamedTuple):
     """The draws of one frame.
 
     Attributes:
-        number: how often the frame was done before.
+        number: number of attempts so far.
         draws: whitened coordinates.
         slopes: the gradient of the log-density at each.
         log_weights: normalised.
@@ -136,10 +136,8 @@ def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Att
     def attempt(previous: Attempt) -> Attempt:
         return _attempt(jax.random.fold_in(key, previous.number), view, previous, options)
 
-    shapes = jax.eval_shape(lambda: _empty(view, count))
-    first = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    more = 2 if options.more_starts > options.starts else 1
-    return jax.lax.while_loop(lambda last: (last.number == 0) | (last.is_bad & (last.number < more)), attempt, first)
+    most = 2 if options.more_starts > options.starts else 1
+    return jax.lax.while_loop(lambda last: (last.number == 0) | (last.is_bad & (last.number < most)), attempt, _empty(view, count))
 
 
 def _empty(view: GaussianView, count: int) -> Attempt:
@@ -205,6 +203,7 @@ def _by_tempering(
     tempered: Kernel, key: Key, particles: Particles, density: Density, view: GaussianView, failed: Particles, info: FilterInfo
 ) -> tuple[Particles, FilterInfo]:
     """Return the frame as `tempered` samples it, with the figures of the failed attempts."""
+    del failed
     share_key, key = jax.random.split(key)
     sampled, tempered_info = tempered(key, particles, density)
     return sampled, info._replace(

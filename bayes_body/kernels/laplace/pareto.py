@@ -4,17 +4,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.pareto import FEWEST_TAIL, PRIOR_DRAWS, PRIOR_QUARTILE, PRIOR_SHAPE, tail_size
 from bayes_body.base.shapes import Scalar
 from bayes_body.kernels.weights import LogWeights
-
-FEWEST_TAIL = 5
-PRIOR_QUARTILE, PRIOR_SHAPE, PRIOR_DRAWS = 3, 0.5, 10
 
 
 def pareto_shape(log_weights: LogWeights) -> Scalar:
     """Return k; NaN if the largest weights are nearly equal, or with fewer than 25 draws; ∞ if a few draws have all the weight."""
     count = log_weights.shape[0]
-    tail = int(3 * count**0.5) if count > 225 else count // 5
+    tail = tail_size(count)
     if tail < FEWEST_TAIL:
         return jnp.full((), jnp.nan, log_weights.dtype)
     largest = jnp.sort(log_weights)[-tail - 1 :]

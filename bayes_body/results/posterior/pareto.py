@@ -8,13 +8,7 @@ ArviZ fits one set of weights at a time; this module fits many at once.
 import numpy as np
 from jaxtyping import Float
 
-FEWEST_TAIL = 5
-PRIOR_QUARTILE, PRIOR_SHAPE, PRIOR_DRAWS = 3, 0.5, 10
-
-
-def tail_size(draws: int) -> int:
-    """Return the number of largest weights that form the tail."""
-    return int(3 * draws**0.5) if draws > 225 else draws // 5
+from bayes_body.base.pareto import FEWEST_TAIL, PRIOR_DRAWS, PRIOR_QUARTILE, PRIOR_SHAPE, tail_size
 
 
 def pareto_shape(log_weights: Float[np.ndarray, "*batch draw"]) -> Float[np.ndarray, "*batch"]:
