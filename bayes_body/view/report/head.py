@@ -47,6 +47,8 @@ KEYPOINTS = (
 OVERLAP = ("iou_median", "overlap with the silhouettes {:.2f}", "overlap with the silhouettes (IoU), median", "{:.3f}")
 QUALITY = (
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
+    ("redone_starts_share", "frames done again from more starting points", "{:.1%}"),
+    ("redone_tempered_share", "frames done again by tempered", "{:.1%}"),
     ("seconds_per_frame", "time per frame, all runs", "{:.3g} s"),
     ("seconds_compile", "compilation", "{:.1f} s"),
     ("evaluations_per_second", "evaluations of the likelihood", "{:,.0f} per second"),
