@@ -1,13 +1,14 @@
 """The interface of kernels. A kernel maps the weighted particles of one frame to those of the next, given that frame's density."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import jax
 from jaxtyping import Array
 from pydantic import BaseModel
 
-from bayes_body.base.shapes import Key, Scalar
+from bayes_body.base.shapes import Flag, Key, Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 
@@ -65,6 +66,42 @@ class Kernel(Protocol):
     def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         """Filter one frame."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class KernelWithFallback:
+    """A kernel that leaves a frame to another one where it fails.
+
+    As a function it contains both and chooses inside the program. Tracking compiles the other one as a program for itself, once a frame needs it
+    (tracking/fallback.py).
+
+    Attributes:
+        first: does most frames.
+        fails: whether `first` failed, by its figures: arrays of a program, or of NumPy with any leading axes.
+        fallback: does a frame in which `first` fails, from the same key, particles and density. Its figures have the same shapes; those in its
+            mappings replace the ones of `first`.
+    """
+
+    first: Kernel
+    fails: Callable[[FilterInfo], Flag]
+    fallback: Kernel
+
+    def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
+        """Filter one frame."""
+
+        def again(failed: Particles, info: FilterInfo) -> tuple[Particles, FilterInfo]:
+            del failed
+            done, info_again = self.fallback(key, particles, density)
+            return done, done_again(info, info_again)
+
+        filtered, info = self.first(key, particles, density)
+        return jax.lax.cond(self.fails(info), again, lambda *done: done, filtered, info)
+
+
+def done_again(first: FilterInfo, again: FilterInfo) -> FilterInfo:
+    """Return the figures of a frame that a fallback has done, from those of the first kernel and those of the fallback."""
+    replaced = {name: {**getattr(first, name), **getattr(again, name)} for name in ("markov", "messages", "modes")}
+    return again._replace(evaluations=first.evaluations + again.evaluations, **replaced)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ class FrameResult:
         info: the kernel's diagnostics, each field with a leading axis (run,).
         seen: whether each camera saw the frame.
         seconds: wall-clock time of the frame, all runs together, without `seconds_ready`.
-        seconds_ready: time before the frame until the program was compiled; 0 except for the first frame of a process.
+        seconds_ready: time until a program was compiled; 0 except for the first frame of a process, and the first that a kernel's fallback does.
         restarted: whether each run was lost before and started anew at this frame; empty if no run did.
         figures: figures of all particles, if only some of them are stored (`posterior.thinning`); else empty.
     """

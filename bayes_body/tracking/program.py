@@ -25,7 +25,7 @@ from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Key, Keys
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
-from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.kernel import FilterInfo, Kernel, KernelWithFallback, NamedKernel
 from bayes_body.kernels.batching import DEVICES, everywhere, replicated
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
@@ -74,6 +74,12 @@ def layout_of(kernel: Kernel, runs: int) -> Layout:
     return Layout(runs, max(devices for devices in range(1, min(runs, len(jax.devices())) + 1) if runs % devices == 0))
 
 
+def parts_of(kernel: Kernel) -> KernelWithFallback | None:
+    """Return the parts of a kernel with a fallback; None for other kernels."""
+    function = kernel.function if isinstance(kernel, NamedKernel) else kernel
+    return function if isinstance(function, KernelWithFallback) else None
+
+
 class Program(NamedTuple):
     """A compiled step, and the form (tree, shapes and types) of its arguments."""
 
@@ -95,10 +101,12 @@ def form_of(layout: Layout, key: Key, particles: Particles, density: Density) ->
 
 
 def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, density: Density) -> Lowered:
-    """Return the step of one frame, traced but not yet compiled."""
+    """Return the step of one frame, traced but not yet compiled; without the kernel's fallback, if it has one."""
+    parts = parts_of(kernel)
+    filtered = kernel if parts is None else parts.first
 
     def frame_of_run(run_key: Key, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
-        return kernel(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
+        return filtered(jax.random.fold_in(run_key, frame), particles, density.with_previous(particles))
 
     def frame_of_runs(run_keys: Keys, frame: Array, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         return jax.lax.map(lambda run: frame_of_run(run[0], frame, run[1], density), (run_keys, particles))

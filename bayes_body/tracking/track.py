@@ -27,6 +27,7 @@ from bayes_body.model.plugins.load import check_own_factors
 from bayes_body.model.plugins.terms import check_result
 from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningStore, Timing, timing_of
+from bayes_body.tracking.fallback import Fallback
 from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, dispatch, layout_of, program_from
 from bayes_body.tracking.restarts import Recovery, Restarts
@@ -195,7 +196,7 @@ def _filter(
     run_keys = layout.place([jax.random.fold_in(key, run) for run in range(len(filters))])
     filters = layout.place(filters)
     model = replace(model, **{name: layout.place(getattr(model, name)) for name in ("transition", "after_found", "factors")})
-    step = None
+    step, fallback = None, Fallback(kernel)
     for frame, (visibility, data, factors) in enumerate(observed, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
         placed = model if factors is None else replace(model, factors=layout.place(factors))
@@ -207,16 +208,18 @@ def _filter(
         index = layout.place(np.int32(frame))
         is_found = restarted if restarted.size else np.full(len(filters), frame == 0 and model.first.draws is not None)
         after_found = replace(density, transition=model.after_found)
-        dispatched = dispatch(step, layout, run_keys, index, filters, [after_found if begins else density for begins in is_found])
+        before, densities = filters, [after_found if begins else density for begins in is_found]
+        dispatched = dispatch(step, layout, run_keys, index, before, densities)
         # The host stores a frame while the device works on the next one.
         if computed:
             yield computed.pop()
         runs, filters = dispatched.fetch()
+        waited = fallback.replace_failed(runs, filters, run_keys, index, before, densities)
         for particles, info in runs:
             raise_if_all_rejected(info, number + frame)
             check_result(kernel, particles, number + frame)
-        last, seconds = time.perf_counter(), time.perf_counter() - last
-        result = _result(runs, visibility, seconds, ready, restarted)
+        last, seconds = time.perf_counter(), time.perf_counter() - last - waited
+        result = _result(runs, visibility, seconds, ready + waited, restarted)
         if restarts is not None:
             restarts.watch(result, frame)
         computed.append(result)

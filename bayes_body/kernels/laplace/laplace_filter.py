@@ -10,13 +10,12 @@ $f(z) = -\tfrac12 |z|^2 + \log C + \log \psi + \log L$. A frame takes four steps
 
 The weights say when the Gaussian is not good enough: by Pareto k and the effective sample size. Then the frame is done again. The second attempt
 searches modes from several starts: the mean and draws of the prediction. Its proposal is the mixture of the Gaussians at all modes, with a share of
-the prediction itself. If that fails too, the frame is sampled by tempered SMC (smc/tempered_smc.py), with the same prediction.
+the prediction itself. If that fails too, the frame is sampled by tempered SMC (laplace/fallback.py).
 
 The weights of a single mode do not see another one. With two cameras or more there is hardly ever another. With one camera a limb may flip towards
 the camera or away from it, while all figures look good: then take the kernel `tempered`.
 """
 
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -30,12 +29,12 @@ from bayes_body.base.toml.schema import Count, Schema
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.gaussian_view import GaussianView, gaussian_view
-from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel, KernelWithFallback
 from bayes_body.kernels.batching import one_device, over_particles
+from bayes_body.kernels.laplace.fallback import TEMPERED, build_fallback
 from bayes_body.kernels.laplace.mode import find_mode
 from bayes_body.kernels.laplace.pareto import pareto_shape
 from bayes_body.kernels.laplace.proposal import balanced_noise, draw, proposal_from
-from bayes_body.kernels.smc import tempered_smc
 from bayes_body.kernels.smc.moment_correction import corrected_moments, noise_beside, with_moments
 from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.kernels.smc.tempering import MOST_IMPOSSIBLE
@@ -43,8 +42,6 @@ from bayes_body.kernels.weights import LogWeights, effective_sample_size, normal
 
 # A frame is done again if the tail of its weights is heavier, or if a smaller share of its draws is effective.
 MOST_K, LEAST_ESS = 0.7, 0.1
-# The kernel of a frame that importance sampling cannot do.
-TEMPERED = {"prediction": "gaussian", "move": "hmc", "moves": 1, "leapfrog_steps": 5, "target_ess": 0.3, "final_stages": 4}
 
 
 class Options(Schema):
@@ -98,8 +95,16 @@ class Attempt(NamedTuple):
     @property
     def is_bad(self) -> Flag:
         """Whether a few weights dominate. A Pareto k of NaN belongs to weights that are nearly equal."""
-        few = effective_sample_size(self.log_weights) < LEAST_ESS * self.log_weights.shape[0]
-        return self.is_lost | few | (self.pareto_k > MOST_K)
+        return _is_bad(self.is_lost, effective_sample_size(self.log_weights), self.log_weights.shape[0], self.pareto_k)
+
+
+def _is_bad(is_lost: Flag, ess: Scalar, count: int, pareto_k: Scalar) -> Flag:
+    return is_lost | (ess < LEAST_ESS * count) | (pareto_k > MOST_K)
+
+
+def fails(info: FilterInfo) -> Flag:
+    """Return whether a few weights dominate after the last attempt by importance sampling."""
+    return _is_bad(info.lost, info.ess, info.ancestors.shape[-1], info.modes["pareto_k"])
 
 
 def build_kernel(**options: Any) -> Kernel:
@@ -112,22 +117,16 @@ def build_kernel(**options: Any) -> Kernel:
         InputError: an option that does not exist or is outside its range.
     """
     checked = validate(Options, options, "laplace()")
-    tempered = tempered_smc.build_kernel(**TEMPERED)
 
     def kernel(key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         check_gradients(density, "the kernel laplace", ", or use --kernel tempered with --set move=random_walk")
-        view_key, attempt_key, end_key, tempered_key = jax.random.split(key, 4)
+        view_key, attempt_key, end_key, _ = jax.random.split(key, 4)
         # Draws are few. Another device would be waited for longer than it computes.
         with one_device():
             view = gaussian_view(view_key, density.with_previous(particles), "the kernel laplace", "use --kernel tempered")
-            last = _attempts(attempt_key, view, particles.log_weights.shape[0], checked)
-            result = _result(end_key, view, last)
-            if checked.fallback == "none":
-                return result
-            redone = partial(_by_tempering, tempered, tempered_key, particles, density, view)
-            return jax.lax.cond(last.is_bad, redone, lambda *done: done, *result)
+            return _result(end_key, view, _attempts(attempt_key, view, particles.log_weights.shape[0], checked))
 
-    return kernel
+    return kernel if checked.fallback == "none" else KernelWithFallback(kernel, fails, build_fallback())
 
 
 def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempt:
@@ -197,36 +196,6 @@ def _result(key: Key, view: GaussianView, last: Attempt) -> tuple[Particles, Fil
         modes={"attempt": last.number - 1, "steps": last.steps, "modes": last.modes, "pareto_k": last.pareto_k},
     )
     return Particles(states, last.log_weights), info
-
-
-def _by_tempering(
-    tempered: Kernel, key: Key, particles: Particles, density: Density, view: GaussianView, failed: Particles, info: FilterInfo
-) -> tuple[Particles, FilterInfo]:
-    """Return the frame as `tempered` samples it, with the figures of the failed attempts."""
-    del failed
-    share_key, key = jax.random.split(key)
-    sampled, tempered_info = tempered(key, particles, density)
-    return sampled, info._replace(
-        ess=tempered_info.ess,
-        survival_rate=(tempered_info.ess / sampled.log_weights.shape[0])[None],
-        # The evidence of `tempered` is relative to the prediction inside the constraints.
-        log_evidence=tempered_info.log_evidence + _log_allowed(share_key, view, sampled.log_weights.shape[0]),
-        lost=tempered_info.lost,
-        acceptance_rate=jnp.nanmean(tempered_info.acceptance_rate)[None],
-        evaluations=info.evaluations + tempered_info.evaluations,
-        modes={**info.modes, "attempt": jnp.full_like(info.modes["attempt"], 2)},
-    )
-
-
-def _log_allowed(key: Key, view: GaussianView, count: int) -> Scalar:
-    """Return the log of the mean of the constraints and potentials over the prediction."""
-
-    def log_allowed(z: Float[Array, " dof"], view: GaussianView) -> Scalar:
-        state, previous = view.state_at(z), view.density.ancestor(0)
-        return view.density.log_constraint(state, previous) + view.density.log_potential(state, previous)
-
-    drawn = jax.random.normal(key, (count, view.mean.shape[0]), view.mean.dtype)
-    return normalise(over_particles(log_allowed, drawn, view)).log_sum - jnp.log(count)
 
 
 # With one camera.

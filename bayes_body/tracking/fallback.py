@@ -1,0 +1,64 @@
+"""The fallback of a kernel: a program for itself, compiled when a frame of a recording first needs it. Most recordings never do.
+
+Each run decides alone, and gets the random numbers of its frame. So a filter that continues from stored frames decides and draws the same.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from bayes_body.base.shapes import Key
+from bayes_body.density.density import Density
+from bayes_body.density.factor import Particles
+from bayes_body.density.kernel import FilterInfo, Kernel, done_again
+from bayes_body.tracking.program import Layout, dispatch, parts_of, program_from
+
+# One run, on all devices.
+ALONE = Layout(1, 0)
+
+
+class Fallback:
+    """Does the frames in which a kernel fails.
+
+    Args:
+        kernel: any kernel. Without a fallback, nothing is done again.
+    """
+
+    def __init__(self, kernel: Kernel):
+        self._parts = parts_of(kernel)
+
+    def replace_failed(
+        self,
+        outcomes: list[tuple[Particles, FilterInfo]],
+        filters: list[Particles],
+        keys: Sequence[Key],
+        frame: Any,
+        before: Sequence[Particles],
+        densities: Sequence[Density],
+    ) -> float:
+        """Replace the outcomes of the runs that failed in a frame, and their particles for the next frame.
+
+        Args:
+            outcomes: the results of each run on the host; those of failed runs are replaced.
+            filters: the particles of each run for the next frame; those of failed runs are replaced.
+            keys: the keys of the runs.
+            frame: the number of the frame.
+            before: the particles of the runs before the frame.
+            densities: the density of each run.
+
+        Returns:
+            Seconds until the program was there.
+        """
+        waited = 0.0
+        if self._parts is None:
+            return waited
+        for run, (_, info) in enumerate(outcomes):
+            if not self._parts.fails(info):
+                continue
+            began = time.perf_counter()
+            key, index, particles, density = ALONE.place((keys[run], frame, before[run], densities[run]))
+            step = program_from(None, self._parts.fallback, ALONE, key, particles, density)
+            waited += time.perf_counter() - began
+            ((after, again),), (filters[run],) = dispatch(step, ALONE, [key], index, [particles], [density]).fetch()
+            outcomes[run] = after, done_again(info, again)
+        return waited
