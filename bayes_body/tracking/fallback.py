@@ -11,7 +11,7 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel, done_again
-from bayes_body.tracking.program import Layout, dispatch, parts_of, program_from
+from bayes_body.tracking.program import Layout, Step, dispatch, parts_of, program_from
 
 # One run, on all devices.
 ALONE = Layout(1, 0)
@@ -26,6 +26,7 @@ class Fallback:
 
     def __init__(self, kernel: Kernel):
         self._parts = parts_of(kernel)
+        self._step: Step | None = None
 
     def replace_failed(
         self,
@@ -47,7 +48,7 @@ class Fallback:
             densities: the density of each run.
 
         Returns:
-            Seconds until the program was there.
+            Seconds until the program was compiled; 0 if it was there already, or nothing failed.
         """
         waited = 0.0
         if self._parts is None:
@@ -55,10 +56,11 @@ class Fallback:
         for run, (_, info) in enumerate(outcomes):
             if not self._parts.fails(info):
                 continue
-            began = time.perf_counter()
             key, index, particles, density = ALONE.place((keys[run], frame, before[run], densities[run]))
-            step = program_from(None, self._parts.fallback, ALONE, key, particles, density)
-            waited += time.perf_counter() - began
-            ((after, again),), (filters[run],) = dispatch(step, ALONE, [key], index, [particles], [density]).fetch()
+            if self._step is None:
+                began = time.perf_counter()
+                self._step = program_from(None, self._parts.fallback, ALONE, key, particles, density)
+                waited = time.perf_counter() - began
+            ((after, again),), (filters[run],) = dispatch(self._step, ALONE, [key], index, [particles], [density]).fetch()
             outcomes[run] = after, done_again(info, again)
         return waited
