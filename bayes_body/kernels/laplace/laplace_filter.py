@@ -34,7 +34,7 @@ from bayes_body.kernels.batching import one_device, over_particles
 from bayes_body.kernels.laplace.fallback import TEMPERED, build_fallback
 from bayes_body.kernels.laplace.mode import find_mode
 from bayes_body.kernels.laplace.pareto import pareto_shape
-from bayes_body.kernels.laplace.proposal import balanced_noise, draw, proposal_from
+from bayes_body.kernels.laplace.proposal import draw, numbers, proposal_from
 from bayes_body.kernels.smc.moment_correction import corrected_moments, noise_beside, with_moments
 from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.kernels.smc.tempering import MOST_IMPOSSIBLE
@@ -147,21 +147,23 @@ def _empty(view: GaussianView, count: int) -> Attempt:
 
 
 def _attempt(key: Key, view: GaussianView, previous: Attempt, options: Options) -> Attempt:
-    start_key, draw_key = jax.random.split(key)
+    _, key = jax.random.split(key)
+    key, _, _ = jax.random.split(key, 3)
     count, dof = previous.draws.shape
     starts = max(options.starts, options.more_starts)
     is_used = jnp.arange(starts) < jnp.where(previous.number == 0, options.starts, starts)
-    begin = jax.random.normal(start_key, (starts, dof), view.mean.dtype).at[0].set(0.0)
+    random = numbers(key, count, dof, starts - 1)
+    begin = jnp.concatenate([jnp.zeros((1, dof)), random.starts])
     modes = jax.lax.map(lambda start: find_mode(view, start[0], options.most_steps * start[1]), (begin, is_used))
     proposal = proposal_from(modes, is_used)
-    draws, log_proposal = draw(draw_key, proposal, count)
+    draws, log_proposal = draw(random, proposal)
     log_density, slopes = over_particles(lambda z, view: jax.value_and_grad(view.log_density_at)(z), draws, view)
     weights = normalise(log_density - log_proposal)
     steps = jnp.sum(modes.steps)
     return Attempt(
         number=previous.number + 1,
         # The prediction goes on where no draw explains the frame.
-        draws=jnp.where(weights.lost, balanced_noise(draw_key, count, dof), draws),
+        draws=jnp.where(weights.lost, random.noise, draws),
         slopes=slopes,
         log_weights=weights.log_weights,
         log_evidence=weights.log_sum - jnp.log(count),

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_body.base.inverse_cdf import inverse_cdf
@@ -67,22 +68,47 @@ def proposal_from(modes: Mode, is_used: Bool[Array, " start"]) -> Proposal:
     )
 
 
-def draw(key: Key, proposal: Proposal, count: int) -> tuple[Float[Array, "draw dof"], Float[Array, " draw"]]:
+class Numbers(NamedTuple):
+    """The random numbers of an attempt. They come from one call: each occurrence of a random generator adds to the compile time.
+
+    Attributes:
+        noise: balanced noise (`balanced`).
+        starts: standard normal, without limits: where further searches start.
+        order: standard normal, for a random order of the noise.
+        level: uniform, which component the first draw comes from.
+    """
+
+    noise: Float[Array, "draw dof"]
+    starts: Float[Array, "further dof"]
+    order: Float[Array, " draw"]
+    level: Scalar
+
+
+def numbers(key: Key, count: int, size: int, further: int) -> Numbers:
+    """Return the random numbers of an attempt with `count` draws of `size` entries, and `further` starts besides the mean of the prediction."""
+    half = _half(count)
+    sizes = np.cumsum([half * size, further * size, count])
+    # Without the barrier, XLA repeats the draw wherever a part of it is read.
+    normal = jax.lax.optimization_barrier(jax.random.normal(key, (sizes[-1] + 1,)))
+    noise, starts, order, level = jnp.split(normal, sizes)
+    return Numbers(balanced(noise.reshape(half, size), count), starts.reshape(further, size), order, jax.scipy.special.ndtr(level[0]))
+
+
+def draw(numbers: Numbers, proposal: Proposal) -> tuple[Float[Array, "draw dof"], Float[Array, " draw"]]:
     """Return draws and their log-densities, without the constant of a standard normal."""
-    noise_key, level_key, order_key = jax.random.split(key, 3)
-    noise = balanced_noise(noise_key, count, proposal.centres.shape[1])
+    noise, count = numbers.noise, len(numbers.noise)
 
     def from_first() -> tuple[Array, Array]:
         moved = jax.scipy.linalg.solve_triangular(proposal.roots[0], noise.T, lower=True, trans=1).T
         return proposal.centres[0] + moved, proposal.half_log_determinants[0] - 0.5 * jnp.sum(noise * noise, axis=1)
 
     def from_all() -> tuple[Array, Array]:
-        levels = (jnp.arange(count) + jax.random.uniform(level_key)) / count
+        levels = (jnp.arange(count) + numbers.level) / count
         chosen = inverse_cdf(jnp.cumsum(jnp.exp(proposal.log_shares)), levels)
         identity = jnp.eye(noise.shape[1], dtype=noise.dtype)
         inverses = jax.vmap(lambda root: jax.scipy.linalg.solve_triangular(root, identity, lower=True))(proposal.roots)
         # Otherwise the order of the noise, pair by pair, would go with the order of the components.
-        shuffled = jax.random.permutation(order_key, noise)
+        shuffled = noise[jnp.argsort(numbers.order)]
         draws = proposal.centres[chosen] + jnp.einsum("nji,nj->ni", inverses[chosen], shuffled)
         return draws, log_density(proposal, draws)
 
@@ -97,14 +123,24 @@ def log_density(proposal: Proposal, draws: Float[Array, "draw dof"]) -> Float[Ar
 
 
 def balanced_noise(key: Key, count: int, size: int) -> Float[Array, "draw {size}"]:
+    """Return standard normal numbers as `balanced` does, from a random key."""
+    return balanced(jax.random.normal(key, (_half(count), size)), count)
+
+
+def balanced(normal: Float[Array, "half size"], count: int) -> Float[Array, "{count} size"]:
     """Return standard normal numbers whose mean is exactly 0 and whose covariance is exactly I, if there are enough draws for it.
 
-    Draws come in pairs of opposite signs. An odd number of draws has no pairs; these are centred.
+    Draws come in pairs of opposite signs, made from half as many. An odd number of draws has no pairs; these are centred.
     """
-    is_paired = count % 2 == 0
-    noise = jax.random.normal(key, (count // 2 if is_paired else count, size))
+    is_paired, size = count % 2 == 0, normal.shape[1]
+    noise = normal
     if noise.shape[0] > size + 1:
         centred = noise if is_paired else noise - jnp.mean(noise, axis=0)
         root = jnp.linalg.cholesky(centred.T @ centred / centred.shape[0])
         noise = jax.scipy.linalg.solve_triangular(root, centred.T, lower=True).T
     return jnp.concatenate([noise, -noise]) if is_paired else noise
+
+
+def _half(count: int) -> int:
+    """Return the number of rows from which `balanced` makes `count` draws."""
+    return count // 2 if count % 2 == 0 else count
