@@ -18,6 +18,8 @@ import time
 from pathlib import Path
 
 SEARCH = "person search"
+# What tracking compiles only for a frame that needs it.
+FALLBACK = ", fallback"
 CALLS = 3
 # Headers of the tables of stack frames in the text of an optimised program, and a line of each.
 TABLES = re.compile(r"^(FileNames|FunctionNames|FileLocations|StackFrames)$(.*?)^\s*$", re.M | re.S)
@@ -28,7 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("session", type=Path, help="a session with silhouettes, such as the recording of `bayes-body demo`")
     parser.add_argument("--keypoints", type=Path, help="a session with keypoints, for the models that read them; without it these are left out")
-    parser.add_argument("--program", nargs="+", help=f"models, and '{SEARCH}'; default: all")
+    parser.add_argument("--program", nargs="+", help=f"models, '{SEARCH}', or a model with '{FALLBACK}'; default: all")
     parser.add_argument("--json", type=Path, help="write the rows there")
     parser.add_argument("--before", type=Path, help="rows of another version, for ratios")
     parser.add_argument("--row", help=argparse.SUPPRESS)
@@ -56,13 +58,19 @@ def programs(arguments):
     """Names of programs, each with the folder of its session."""
     from bayes_body.base.files.shipped import definitions_folder
     from bayes_body.model.definition import load_definition
+    from bayes_body.model.kernel_options import kernel_of, kernel_options
+    from bayes_body.tracking.program import parts_of
 
     names = arguments.program or [SEARCH, *sorted(path.stem for path in definitions_folder().glob("*.toml"))]
     for name in names:
-        reads_keypoints = name != SEARCH and any(term.kind == "markers_gaussian" for term in load_definition(name).likelihoods)
+        model = name.removesuffix(FALLBACK)
+        reads_keypoints = name != SEARCH and any(term.kind == "markers_gaussian" for term in load_definition(model).likelihoods)
         session = arguments.keypoints if reads_keypoints else arguments.session
-        if session is not None:
-            yield name, session
+        if session is None:
+            continue
+        yield name, session
+        if not arguments.program and name != SEARCH and parts_of(kernel_of(*kernel_options(load_definition(name), None, {}))) is not None:
+            yield f"{name}{FALLBACK}", session
 
 
 def line(name: str, figures: dict, before: dict | None) -> str:
@@ -109,27 +117,30 @@ def measured(function, arguments) -> dict:
 
 
 def frame_program(name: str, folder: Path):
-    """The step of one frame, as it is tracked: the model's own kernel and number of particles."""
+    """The step of one frame, as it is tracked: the model's own kernel and number of particles; or that of the kernel's fallback."""
     import jax
 
     from bayes_body.base.errors import InputError
-    from bayes_body.base.registry import find
     from bayes_body.initial import load_model
     from bayes_body.kernels.batching import everywhere, replicated
     from bayes_body.model.build import build_model
     from bayes_body.model.definition import load_definition
-    from bayes_body.model.kernel_options import kernel_options
+    from bayes_body.model.kernel_options import kernel_of, kernel_options
     from bayes_body.recording.observation.frames import read_frame
     from bayes_body.recording.session.read import load_session
+    from bayes_body.tracking.program import parts_of
 
-    session = load_session(folder)
+    session, wants_fallback = load_session(folder), name.endswith(FALLBACK)
+    name = name.removesuffix(FALLBACK)
     kind, options = kernel_options(load_definition(name), None, {})
     try:
         model = load_model(name, session)
     except InputError:
         # An arm has too few of the markers: it stays where its definition puts it.
         model = build_model(name, session)
-    kernel, start = find("kernel", kind).build(options=options), everywhere(model.start(options.particles))
+    kernel, start = kernel_of(kind, options), everywhere(model.start(options.particles))
+    if (parts := parts_of(kernel)) is not None:
+        kernel = parts.fallback if wants_fallback else parts.first
     density = everywhere(model.density(model.observe(read_frame(session, 1)), start))
 
     def frame(key, index, particles, density):

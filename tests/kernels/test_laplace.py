@@ -93,15 +93,14 @@ def test_weights_without_the_density_of_the_proposal_are_found_out(monkeypatch):
 
 
 def test_draws_without_exact_moments_are_found_out(monkeypatch):
-    def pairs(key, count, size):
-        half = jax.random.normal(key, (count // 2, size))
-        return jnp.concatenate([half, -half])
+    def pairs(normal, count):
+        return jnp.concatenate([normal, -normal])
 
     # With the correction by slopes the moments of a Gaussian would be exact even so.
     unchanged = lambda draws, log_weights, slopes: moment_correction.moments(draws, log_weights)  # noqa: E731
     monkeypatch.setattr(laplace_filter, "corrected_moments", unchanged)
     check_gaussian()
-    monkeypatch.setattr(proposal, "balanced_noise", pairs)
+    monkeypatch.setattr(proposal, "balanced", pairs)
     with pytest.raises(AssertionError):
         check_gaussian()
 

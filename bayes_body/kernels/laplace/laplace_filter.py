@@ -147,8 +147,8 @@ def _empty(view: GaussianView, count: int) -> Attempt:
 
 
 def _attempt(key: Key, view: GaussianView, previous: Attempt, options: Options) -> Attempt:
-    _, key = jax.random.split(key)
-    key, _, _ = jax.random.split(key, 3)
+    # As in runs of earlier versions, which go on as they began.
+    key = jax.random.split(jax.random.split(key)[1], 3)[0]
     count, dof = previous.draws.shape
     starts = max(options.starts, options.more_starts)
     is_used = jnp.arange(starts) < jnp.where(previous.number == 0, options.starts, starts)
