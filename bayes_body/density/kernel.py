@@ -89,19 +89,19 @@ class KernelWithFallback:
     def __call__(self, key: Key, particles: Particles, density: Density) -> tuple[Particles, FilterInfo]:
         """Filter one frame."""
 
-        def again(failed: Particles, info: FilterInfo) -> tuple[Particles, FilterInfo]:
+        def redo(failed: Particles, info: FilterInfo) -> tuple[Particles, FilterInfo]:
             del failed
-            done, info_again = self.fallback(key, particles, density)
-            return done, done_again(info, info_again)
+            redone, redone_info = self.fallback(key, particles, density)
+            return redone, done_again(info, redone_info)
 
         filtered, info = self.first(key, particles, density)
-        return jax.lax.cond(self.fails(info), again, lambda *done: done, filtered, info)
+        return jax.lax.cond(self.fails(info), redo, lambda *done: done, filtered, info)
 
 
-def done_again(first: FilterInfo, again: FilterInfo) -> FilterInfo:
+def done_again(first: FilterInfo, second: FilterInfo) -> FilterInfo:
     """Return the figures of a frame that a fallback has done, from those of the first kernel and those of the fallback."""
-    replaced = {name: {**getattr(first, name), **getattr(again, name)} for name in ("markov", "messages", "modes")}
-    return again._replace(evaluations=first.evaluations + again.evaluations, **replaced)
+    replaced = {name: {**getattr(first, name), **getattr(second, name)} for name in ("markov", "messages", "modes")}
+    return second._replace(evaluations=first.evaluations + second.evaluations, **replaced)
 
 
 @dataclass(frozen=True, eq=False)

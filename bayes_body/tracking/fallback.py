@@ -34,7 +34,7 @@ class Fallback:
         filters: list[Particles],
         keys: Sequence[Key],
         frame: Any,
-        before: Sequence[Particles],
+        previous: Sequence[Particles],
         densities: Sequence[Density],
     ) -> float:
         """Replace the outcomes of the runs that failed in a frame, and their particles for the next frame.
@@ -44,7 +44,7 @@ class Fallback:
             filters: the particles of each run for the next frame; those of failed runs are replaced.
             keys: the keys of the runs.
             frame: the number of the frame.
-            before: the particles of the runs before the frame.
+            previous: the particles of the runs before the frame.
             densities: the density of each run.
 
         Returns:
@@ -56,11 +56,11 @@ class Fallback:
         for run, (_, info) in enumerate(outcomes):
             if not self._parts.fails(info):
                 continue
-            key, index, particles, density = ALONE.place((keys[run], frame, before[run], densities[run]))
+            key, index, particles, density = ALONE.place((keys[run], frame, previous[run], densities[run]))
             if self._step is None:
                 began = time.perf_counter()
                 self._step = program_from(None, self._parts.fallback, ALONE, key, particles, density)
                 waited = time.perf_counter() - began
-            ((after, again),), (filters[run],) = dispatch(self._step, ALONE, [key], index, [particles], [density]).fetch()
-            outcomes[run] = after, done_again(info, again)
+            ((filtered, redone),), (filters[run],) = dispatch(self._step, ALONE, [key], index, [particles], [density]).fetch()
+            outcomes[run] = filtered, done_again(info, redone)
         return waited

@@ -208,13 +208,13 @@ def _filter(
         index = layout.place(np.int32(frame))
         is_found = restarted if restarted.size else np.full(len(filters), frame == 0 and model.first.draws is not None)
         after_found = replace(density, transition=model.after_found)
-        before, densities = filters, [after_found if begins else density for begins in is_found]
-        dispatched = dispatch(step, layout, run_keys, index, before, densities)
+        previous, densities = filters, [after_found if begins else density for begins in is_found]
+        dispatched = dispatch(step, layout, run_keys, index, previous, densities)
         # The host stores a frame while the device works on the next one.
         if computed:
             yield computed.pop()
         runs, filters = dispatched.fetch()
-        waited = fallback.replace_failed(runs, filters, run_keys, index, before, densities)
+        waited = fallback.replace_failed(runs, filters, run_keys, index, previous, densities)
         for particles, info in runs:
             raise_if_all_rejected(info, number + frame)
             check_result(kernel, particles, number + frame)
