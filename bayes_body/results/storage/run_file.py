@@ -64,7 +64,7 @@ class SmoothingTable(Schema):
     frames: Count
     seed: Annotated[int, Field(strict=True, ge=0)]
     draws: Count
-    start: Literal["ensemble", "particles"]
+    start: Literal["ensemble", "particles", "gaussian"]
     moves: Annotated[int, Field(strict=True, ge=0)]
     leapfrog_steps: Count
     candidates: Count
