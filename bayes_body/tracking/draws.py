@@ -1,6 +1,6 @@
 """The results of filters on the host, frame by frame: in memory, or read from disk on demand."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -56,10 +56,14 @@ class Frames(Protocol):
 
 @runtime_checkable
 class FrameStore(Frames, Protocol):
-    """Frames to which one more can be appended."""
+    """Frames to which more can be appended."""
 
     def append(self, result: FrameResult, /) -> None:
         """Store the next frame."""
+        ...
+
+    def extend(self, results: Sequence[FrameResult], /) -> None:
+        """Store the next frames."""
         ...
 
 

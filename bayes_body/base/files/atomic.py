@@ -11,7 +11,8 @@ import io
 import os
 import re
 import secrets
-from collections.abc import Buffer, Iterator
+from collections.abc import Buffer, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from bayes_body.base.errors import InputError, input_error
 PARTIAL = ".partial-"
 # Bytes of the random part of their names.
 RANDOM = 8
+# Files that are written at once.
+AT_ONCE = 4
 RANDOM_NAME = re.compile(rf"{re.escape(PARTIAL)}[0-9a-f]{{{2 * RANDOM}}}(\.[^.]*)?")
 
 
@@ -69,6 +72,46 @@ def replacing(path: Path) -> Iterator[Path]:
         if isinstance(error, OSError):
             raise refused(path, "written", error) from None
         raise
+
+
+def write_together(contents: Mapping[Path, Buffer]) -> None:
+    """Write files of one folder, and return once all are on the disk. Each is written completely or not at all; those that exist are replaced.
+
+    The disk gets some files at once: to wait for one of them takes longer than to write it.
+
+    Raises:
+        InputError: the file system refuses one of them. Files before it may be there.
+    """
+    partials = {path: path.with_name(PARTIAL + secrets.token_hex(RANDOM) + path.suffix) for path in contents}
+    try:
+        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="disk") as pool:
+            written = [(path, pool.submit(_write_new, partial, contents[path])) for path, partial in partials.items()]
+        for path, outcome in written:
+            with _refusing(path):
+                outcome.result()
+                partials[path].replace(path)
+        for folder in {path.parent for path in contents}:
+            with _refusing(folder):
+                _sync(folder)
+    except BaseException:
+        for partial in partials.values():
+            _remove(partial)
+        raise
+
+
+def _write_new(path: Path, content: Buffer) -> None:
+    _make_new(path)
+    path.write_bytes(content)
+    _sync(path)
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turn an error of the file system into an InputError."""
+    try:
+        yield
+    except OSError as error:
+        raise refused(path, "written", error) from None
 
 
 def _make_new(path: Path) -> None:

@@ -105,6 +105,8 @@ def _under(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray
 KIND, REMEDY = "the frames of a finished run", "compute them again with --resume"
 # Blocks of frames that stay in memory: readers go through the frames in order, and look back one frame.
 BLOCKS_IN_MEMORY = 2
+# Bytes of a block, if its chunk has not more. To look up the arrays of a small block takes longer than to read them.
+BLOCK_BYTES = 8_000_000
 
 
 class Entry(NamedTuple):
@@ -265,4 +267,6 @@ def _looked_at(posterior: Path, names: Sequence[str], trusted: bool, version: tu
             raise OSError(str(fault)) from None
     with h5py.File(posterior, "r") as file:
         array, axis = _dataset(file, names[0]), frame_axis_of(names[0])
-        return int(array.shape[axis]), max(int(array.chunks[axis] if array.chunks else 1), 1)
+        frames, chunk = int(array.shape[axis]), max(int(array.chunks[axis] if array.chunks else 1), 1)
+        in_block = BLOCK_BYTES * frames // max(posterior.stat().st_size, 1)
+        return frames, chunk * max(in_block // chunk, 1)

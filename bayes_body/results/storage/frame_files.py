@@ -9,13 +9,14 @@ If only some draws of a frame are stored, the last frame is stored with all its 
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from bayes_body.base.errors import InputError, escaped, input_error
 from bayes_body.base.files.arrays_file import read_arrays
-from bayes_body.base.files.atomic import make_folder, remove_partial, replacing
+from bayes_body.base.files.atomic import make_folder, remove_partial, replacing, write_together
 from bayes_body.results.storage.frame_archive import (
     Entry,
     FrameArchive,
@@ -131,6 +132,28 @@ class FrameFiles:
             self._whole_path(number - 1).unlink(missing_ok=True)
         self._read.cache_clear()
         self._count += 1
+
+    def extend(self, results: Sequence[FrameResult], /) -> None:
+        """Store the next frames. All are on the disk when this function returns; to wait for all takes about as long as for one.
+
+        Raises:
+            InputError: the file system does not accept them. None counts then.
+        """
+        if self.thinning is not None or len(results) < 2:
+            for result in results:
+                self.append(result)
+            return
+        if not self._count:
+            make_folder(self.folder)
+        contents, entries, digest = dict[Path, bytes](), dict[int, Entry](), self.last_digest
+        for number, result in enumerate(results, self._count):
+            content, digest = packed(result, Place(self.run, number, digest))
+            contents[self.path(number)], entries[number] = content, _entry_of(result, digest)
+        write_together(contents)
+        self._last = digest
+        self._entries |= entries
+        self._read.cache_clear()
+        self._count += len(results)
 
     def mend(self) -> str:
         """Prepare to continue: remove half-written files, read all frames, and end before the first that is damaged or in the wrong place.
@@ -253,11 +276,18 @@ def save_frame(path: Path, result: FrameResult, place: Place) -> str:
     Raises:
         InputError: the file system does not accept it.
     """
-    arrays = arrays_of(result, place)
-    digest = digest_of(arrays)
-    with replacing(path) as partial, partial.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays, digest=np.asarray(digest))
+    content, digest = packed(result, place)
+    with replacing(path) as partial:
+        partial.write_bytes(content)
     return digest
+
+
+def packed(result: FrameResult, place: Place) -> tuple[bytes, str]:
+    """Return the content of a frame's file, and its digest."""
+    arrays, file = arrays_of(result, place), BytesIO()
+    digest = digest_of(arrays)
+    np.savez(file, allow_pickle=False, **arrays, digest=np.asarray(digest))
+    return file.getvalue(), digest
 
 
 def load_frame(path: Path) -> Stored:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
+from bayes_body.base.files import atomic
 from bayes_body.base.files.atomic import PARTIAL
 from bayes_body.density.kernel import FilterInfo
 from bayes_body.results.storage import FrameFiles
@@ -78,6 +79,24 @@ def test_what_was_kept_comes_back(kept):
     for outside in (4, -5):
         with pytest.raises(IndexError):
             again[outside]
+
+
+def test_several_frames_are_stored_as_one_by_one(kept, tmp_path, monkeypatch):
+    together = FrameFiles(tmp_path / "together", "this")
+    together.extend([result(0)])
+    together.extend([result(seed) for seed in range(1, 4)])
+    for seed in range(4):
+        assert together.path(seed).read_bytes() == kept.path(seed).read_bytes()
+    assert len(together) == 4 and together.last_digest == kept.last_digest and together.mend() == ""
+    together.extend([])
+
+    def refuse(path):
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(atomic, "_sync", refuse)
+    with pytest.raises(InputError, match=r"000004\.npz: cannot be written \(No space left on device\)"):
+        together.extend([result(4), result(5)])
+    assert len(together) == len(list(together.folder.iterdir())) == 4
 
 
 def test_a_folder_that_is_not_there_has_no_frames_and_is_not_made(tmp_path):
