@@ -77,6 +77,17 @@ class _Laid(NamedTuple):
     prediction: LinearPrediction | None = None
 
 
+def check_gaussian(transition: Transition, particles: Particles) -> None:
+    """Check that paths can go back by moments.
+
+    Raises:
+        InputError: the motion prior depends on more than one frame, or has no quantiles.
+    """
+    if transition.frames_read != 1 or not has_quantiles(transition, jax.tree.map(lambda leaf: leaf[0], particles.states)):
+        problem = f"the dynamics '{transition.name}' depend on more than one frame, or have no quantiles"
+        raise input_error("start: gaussian", problem, "dynamics of independent dofs that depend on the frame before", "give --start ensemble")
+
+
 class Backward:
     """Paths through the frames of one filter run.
 
@@ -104,7 +115,7 @@ class Backward:
             first: the lowest number of a stored frame, from which to continue; None to begin at the last frame.
         """
         if self.smoother.options.start == "gaussian":
-            self._check_gaussian()
+            check_gaussian(self.steps.transition, self.filtered(0).particles)
         laid = self._final(self._lay(key, count))
         if not self.smoother.options.moves or self.memory is None:
             return (path_frame for path_frame in laid if first is None or path_frame.frame < first)
@@ -120,12 +131,6 @@ class Backward:
                 completed.append(path_frame._replace(states=self.steps.carried(completed[-1].states, path_frame.states)))
             yield from reversed(completed if current.begins else completed[self.delay :])
             waiting = [] if current.begins else waiting[: self.delay]
-
-    def _check_gaussian(self) -> None:
-        first = self.filtered(0).particles
-        if self.memory != 1 or not has_quantiles(self.steps.transition, jax.tree.map(lambda leaf: leaf[0], first.states)):
-            problem = f"the dynamics '{self.steps.transition.name}' depend on more than one frame, or have no quantiles"
-            raise input_error("start: gaussian", problem, "dynamics of independent dofs that depend on the frame before", "give --start ensemble")
 
     # -- the first walk ---------------------------------------------------------------------------------------------------------------------
 

@@ -115,23 +115,12 @@ class BackwardSteps:
     @cached_property
     def last_states(self) -> Callable[[Key, Particles], State]:
         """Return states with the moments of the particles of a frame, with which Gaussian paths begin."""
-
-        def last(key: Key, particles: Particles) -> State:
-            chart, paths = _coordinates(self.transition, particles), self.smoother.options.draws
-            return jax.vmap(self.transition.with_derived)(rts.last_states(key, particles, paths, self.transition, chart))
-
-        return _compiled(last)
+        return _compiled(lambda key, particles: rts.last_states(key, particles, self.smoother.options.draws, self.transition))
 
     @cached_property
     def states_before(self) -> Callable[[Key, Particles, State], State]:
         """Return states of the frame before by the moments of its particles."""
-
-        def back(key: Key, particles: Particles, after: State) -> State:
-            nexts = jax.vmap(lambda state: sampled_of(self.transition, state))(after)
-            chart = _coordinates(self.transition, particles)
-            return jax.vmap(self.transition.with_derived)(rts.states_before(key, particles, nexts, self.transition, chart))
-
-        return _compiled(back)
+        return _compiled(lambda key, particles, nexts: rts.states_before(key, particles, nexts, self.transition))
 
     @cached_property
     def move(self) -> Callable[..., Moved]:

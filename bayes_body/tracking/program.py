@@ -52,9 +52,12 @@ class Layout(NamedTuple):
 
     def stack(self, keys: list[Key], filters: list[Particles]) -> tuple[Keys, Particles]:
         """Return the keys and the particles of all runs, spread over the devices."""
-        spread = NamedSharding(self._mesh, PartitionSpec(DEVICES))
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *filters)
-        return jax.device_put((jax.numpy.stack(keys), stacked), spread)
+        return self.scatter((jax.numpy.stack(keys), stacked))
+
+    def scatter[Tree](self, tree: Tree) -> Tree:
+        """Return a tree with a leading axis (run,), spread over the devices."""
+        return jax.device_put(tree, NamedSharding(self._mesh, PartitionSpec(DEVICES)))
 
     def spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function of all runs from one of some runs, whose first and third arguments are theirs."""
@@ -71,6 +74,11 @@ def layout_of(kernel: Kernel, runs: int) -> Layout:
     name = getattr(kernel, "kind", "")
     if name not in names("kernel") or not find("kernel", name).runs_together:
         return Layout(runs, 0)
+    return side_by_side(runs)
+
+
+def side_by_side(runs: int) -> Layout:
+    """Return the layout in which the devices share the runs."""
     return Layout(runs, max(devices for devices in range(1, min(runs, len(jax.devices())) + 1) if runs % devices == 0))
 
 

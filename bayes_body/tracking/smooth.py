@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, NamedTuple
 
 import jax
@@ -25,9 +25,10 @@ from bayes_body.kernels.batching import everywhere
 from bayes_body.kernels.paths.smoother import Smoother
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
-from bayes_body.tracking.backward import Backward, Filtered, PathFrame
+from bayes_body.tracking.backward import Backward, Filtered, PathFrame, check_gaussian
 from bayes_body.tracking.backward_steps import HELD, Begun, Near
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore
+from bayes_body.tracking.gaussian_walk import gaussian_pieces
 from bayes_body.tracking.observations import Observed, observations_backwards
 
 
@@ -82,6 +83,7 @@ def smooth(
         InputError: a frame cannot be read or stored, or `into` holds more frames than the filters have.
     """
     count, done, seconds = len(filtered), len(into), 0.0
+    number = done
     if done > count:
         raise input_error("the frames of the smoother", str(done), f"at most the {count} of the filter", "start again in another folder")
     if done < count:
@@ -90,11 +92,12 @@ def smooth(
         near = Near(filtered)
         with closing(_Recording(session, model, smoother, near, last)) as recording:
             walk = _Walk(model, smoother, near, into, recording)
-            for number, result in enumerate(walk.frames(key), done + 1):
-                into.append(result)
-                seconds += result.seconds
-                if on_frame is not None:
-                    on_frame(SmoothProgress(number, count, seconds / (number - done), int(result.info.ess.min())))
+            for results in walk.pieces(key):
+                into.extend(results)
+                for result in results:
+                    number, seconds = number + 1, seconds + result.seconds
+                    if on_frame is not None:
+                        on_frame(SmoothProgress(number, count, seconds / (number - done), int(result.info.ess.min())))
     return LastFirst(into)
 
 
@@ -115,7 +118,7 @@ def smooth_window(session: Session, model: Model, smoother: Smoother, filtered: 
     near = Near(Begun(filtered, frames.stop))
     with closing(_Recording(session, model, smoother, near, frames[-1])) as recording:
         walk = _Walk(model, smoother, near, [], recording)
-        return list(islice(walk.frames(key), len(frames)))[::-1]
+        return list(islice(chain.from_iterable(walk.pieces(key)), len(frames)))[::-1]
 
 
 class _Recording:
@@ -151,18 +154,38 @@ class _Walk:
         self.runs = filtered[0].log_weights.shape[0]
         self._placed = lru_cache(HELD * self.runs)(self._filtered)
 
-    def frames(self, key: Key) -> Iterator[FrameResult]:
-        """Yield the frames of all runs, the last one first."""
+    def pieces(self, key: Key) -> Iterator[list[FrameResult]]:
+        """Yield the frames of all runs in pieces of one or more, the last frame first."""
+        options, keys = self.smoother.options, [jax.random.fold_in(key, run) for run in range(self.runs)]
+        return self._gaussian(keys) if options.start == "gaussian" and not options.moves else self._single(keys)
+
+    def _gaussian(self, keys: list[Key]) -> Iterator[list[FrameResult]]:
+        check_gaussian(self.model.transition, self._filtered(0, 0).particles)
+        count, draws = len(self.filtered) - len(self.stored), self.smoother.options.draws
+        nexts = self.stored[-1].states if self.stored else None
+        for piece in gaussian_pieces(keys, self.model.transition, draws, self.filtered.__getitem__, count, nexts):
+            seconds = piece.seconds / len(piece.filtered)
+            # Noise has made all paths different.
+            still = _Moves(np.full(self.runs, draws), np.full(self.runs, np.nan), np.full(self.runs, np.nan))
+            yield [
+                self._result(
+                    frame, {name: values[:, place] for name, values in piece.states.items()}, still, seconds, 0.0 if place else piece.seconds_ready
+                )
+                for place, frame in enumerate(piece.filtered)
+            ]
+
+    def _single(self, keys: list[Key]) -> Iterator[list[FrameResult]]:
         count, done = len(self.filtered), len(self.stored)
-        follow = [
-            self._run(run).follow(jax.random.fold_in(key, run), count, self._stored(run), count - done if done else None) for run in range(self.runs)
-        ]
+        follow = [self._run(run).follow(keys[run], count, self._stored(run), count - done if done else None) for run in range(self.runs)]
         last = time.perf_counter()
         for number, path_frames in enumerate(_one_ahead(zip(*follow, strict=True))):
             paths = jax.device_get(path_frames)
             last, seconds = time.perf_counter(), time.perf_counter() - last
+            states = {name: np.stack([np.asarray(path.states[name]) for path in paths]) for name in self.filtered[paths[0].frame].states}
+            rates, steps = (np.array([getattr(path, name) for path in paths]) for name in ("acceptance_rate", "log_step_size"))
+            moves = _Moves(np.array([_distinct(path.states) for path in paths]), rates, steps)
             # The first frame of a process waits for the compiler.
-            yield self._result(paths, seconds, 0.0 if number else seconds)
+            yield [self._result(self.filtered[paths[0].frame], states, moves, seconds if number else 0.0, 0.0 if number else seconds)]
 
     def _run(self, run: int) -> Backward:
         return Backward(self.smoother, self.model.transition, lambda frame: self._placed(run, frame), self._density)
@@ -190,25 +213,32 @@ class _Walk:
 
         return path_frame
 
-    def _result(self, paths: tuple[PathFrame, ...], seconds: float, ready: float) -> FrameResult:
-        filtered = self.filtered[paths[0].frame]
-        states = {name: np.stack([np.asarray(path.states[name]) for path in paths]) for name in filtered.states}
+    def _result(self, filtered: FrameResult, states: dict[str, np.ndarray], moves: "_Moves", seconds: float, ready: float) -> FrameResult:
         draws = self.smoother.options.draws
-        moves = self.smoother.options.moves * self.smoother.move.evaluations
-        ones = np.ones((self.runs, 1), filtered.log_weights.dtype)
+        evaluations = self.smoother.options.moves * self.smoother.move.evaluations
+        dtype = filtered.log_weights.dtype
+        ones = np.ones((self.runs, 1), dtype)
         info: dict[str, Any] = {
             "ancestors": np.full((self.runs, draws), NO_ANCESTOR, np.int32),
-            "ess": np.array([_distinct(path.states) for path in paths], filtered.log_weights.dtype),
+            "ess": moves.distinct.astype(dtype),
             "survival_rate": ones,
             "inverse_temperatures": ones,
             "log_evidence": np.asarray(filtered.info.log_evidence),
             "lost": np.asarray(filtered.info.lost),
-            "acceptance_rate": np.array([[path.acceptance_rate] for path in paths], filtered.log_weights.dtype),
-            "evaluations": np.array([draws * moves * np.isfinite(path.acceptance_rate) for path in paths], np.int32),
-            "markov": {"log_step": np.array([[path.log_step_size] for path in paths])},
+            "acceptance_rate": moves.acceptance_rate.astype(dtype)[:, None],
+            "evaluations": (draws * evaluations * np.isfinite(moves.acceptance_rate)).astype(np.int32),
+            "markov": {"log_step": moves.log_step[:, None]},
         }
-        log_weights = np.full((self.runs, draws), -np.log(draws), filtered.log_weights.dtype)
-        return FrameResult(states, log_weights, FilterInfo(**info), filtered.seen, seconds - ready, ready, filtered.restarted)
+        log_weights = np.full((self.runs, draws), -np.log(draws), dtype)
+        return FrameResult(states, log_weights, FilterInfo(**info), filtered.seen, seconds, ready, filtered.restarted)
+
+
+class _Moves(NamedTuple):
+    """For each run, the number of different states, the acceptance rate of the moves and the logarithm of their step size; NaN without moves."""
+
+    distinct: np.ndarray
+    acceptance_rate: np.ndarray
+    log_step: np.ndarray
 
 
 def _one_ahead[Item](items: Iterable[Item]) -> Iterator[Item]:

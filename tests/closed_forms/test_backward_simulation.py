@@ -22,6 +22,8 @@ from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.dynamics import diffusion
 from bayes_body.model.dynamics.diffusion import TruncatedWalk
 from bayes_body.tracking.backward import Backward, Filtered
+from bayes_body.tracking.draws import FrameResult
+from bayes_body.tracking.gaussian_walk import gaussian_pieces
 
 # These programs run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -283,6 +285,26 @@ def test_gaussian_paths_are_those_of_the_exact_smoother_whatever_the_draws(seed)
     off = np.abs(np.cov(draws.T, bias=True) - covariance)
     # The noise of a frame has exact moments, none of them with the next frame. Frames further apart are left to chance.
     assert off[apart < 2].max() < 2e-3 and off.max() < 0.08
+
+
+def test_gaussian_paths_of_all_runs_together_are_those_of_each_run():
+    """In pieces of several frames; one run starts anew on the way. From any frame they go on to the same numbers."""
+    runs, count, paths, transition = 2, 20, 30, _turning(0, None).transition
+    x = np.random.default_rng(4).normal(size=(count, runs, 50, 2)).astype(np.float32)
+    weights = np.full((runs, 50), -np.log(50), np.float32)
+    restarted = [np.array([frame == 7, False]) if frame % 2 else np.zeros(0, bool) for frame in range(count)]
+    results = [FrameResult({"x": x[t]}, weights, None, np.zeros(0, bool), 0.0, restarted=restarted[t]) for t in range(count)]
+    keys = [jax.random.key(run) for run in range(runs)]
+    pieces = list(gaussian_pieces(keys, transition, paths, results.__getitem__, count))
+    found = np.concatenate([piece.states["x"] for piece in pieces], axis=1)[:, ::-1]
+    for run in range(runs):
+        frames = [Filtered(Particles({"x": x[t, run]}, weights[run]), None, t == 0 or (run == 0 and t == 7)) for t in range(count)]
+        walk = Backward(build_smoother(draws=paths, start="gaussian", moves=0), transition, lambda t, frames=frames: frames[t], _turning)
+        alone = {one.frame: np.asarray(one.states["x"]) for one in walk.follow(keys[run], count)}
+        np.testing.assert_allclose(found[run], np.stack([alone[t] for t in range(count)]), rtol=1e-3, atol=1e-3)
+    for first in (6, 7, 12):
+        again = gaussian_pieces(keys, transition, paths, results.__getitem__, first, {"x": found[:, first]})
+        np.testing.assert_array_equal(np.concatenate([piece.states["x"] for piece in again], axis=1)[:, ::-1], found[:, :first])
 
 
 def test_gaussian_paths_need_quantiles_and_one_frame_of_memory():

@@ -12,6 +12,7 @@ from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.run import run
 from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run
+from bayes_body.tracking import gaussian_walk
 from bayes_body.view.export.formats import export
 from bayes_body.view.report.curves import dof_curves, filter_curves
 from bayes_body.view.report.page import page
@@ -91,6 +92,27 @@ def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path,
     smooth_run(SmoothSettings(filtered, out, {}, resume=True), lines.append, bar=False)
     assert contents(out / "posterior.nc") == contents(whole / "posterior.nc")
     assert (out / "posterior.nc").read_bytes() == (whole / "posterior.nc").read_bytes()
+
+
+def test_gaussian_paths_go_on_in_pieces_to_the_same_paths(filtered, tmp_path, monkeypatch):
+    whole, out, lines, write, draws = tmp_path / "whole", tmp_path / "run", [], frame_files.write_together, DRAWS | {"start": "gaussian"}
+    monkeypatch.setattr(gaussian_walk, "PIECE", 2)
+    smooth_run(SmoothSettings(filtered, whole, draws, pictures=False), quiet, bar=False)
+
+    def write_or_stop(contents):
+        if any(path.name == "000003.npz" for path in contents):
+            monkeypatch.setattr(frame_files, "write_together", write)
+            raise KeyboardInterrupt
+        return write(contents)
+
+    monkeypatch.setattr(frame_files, "write_together", write_or_stop)
+    with pytest.raises(KeyboardInterrupt):
+        smooth_run(SmoothSettings(filtered, out, draws, pictures=False), lines.append, bar=False)
+    assert lines[-1] == f"{out}: 2 frames are kept; the same command with --resume continues from there."
+    smooth_run(SmoothSettings(filtered, out, {}, resume=True, pictures=False), quiet, bar=False)
+    assert contents(out / "posterior.nc") == contents(whole / "posterior.nc")
+    with load_run(out) as paths:
+        assert set(np.unique(paths.tree["filter"]["ess"])) == {DRAWS["draws"]}
 
 
 def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
