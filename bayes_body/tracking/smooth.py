@@ -166,7 +166,8 @@ class _Walk:
         for piece in gaussian_pieces(keys, self.model.transition, draws, self.filtered.__getitem__, count, nexts):
             seconds = piece.seconds / len(piece.filtered)
             # Noise has made all paths different.
-            still = _Moves(np.full(self.runs, draws), np.full(self.runs, np.nan), np.full(self.runs, np.nan))
+            nan = np.full(self.runs, np.nan, np.float32)
+            still = _Moves(np.full(self.runs, draws), nan, nan)
             yield [
                 self._result(
                     frame, {name: values[:, place] for name, values in piece.states.items()}, still, seconds, 0.0 if place else piece.seconds_ready
