@@ -1,7 +1,5 @@
 """Ranks of a truth among smoothed paths, in a frame that the filter left behind: an arm with markers, by all ways to lay paths; and mutants."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,11 +77,8 @@ def gaussian(textured_session, optimised):
     definition = load_definition("arm_markers")
     assert definition.text.count(RANDOM_WALK) == 1
     definition = parse_definition("arm", definition.text.replace(RANDOM_WALK, WITH_VELOCITY), definition.body_text)
-    model = build_model(definition, textured_session)
-    problem = problem_of(model, wandering=3)
-    # Away from the limits of the joints, where nothing would be normal.
-    middle = (model.body.skeleton.low + model.body.skeleton.high) / 2
-    problem = dataclasses.replace(problem, first={**problem.first, "pose": middle})
+    # A few steps from the middle of the joints' limits: beside a limit nothing would be normal.
+    problem = problem_of(build_model(definition, textured_session), wandering=3)
     kernel, honest = kernels.laplace(fallback="none"), rts._given_next
 
     def figures(here, after):
