@@ -69,19 +69,19 @@ def gaussian_pieces(
     """
     layout, last = side_by_side(len(keys)), time.perf_counter()
     run_keys, prior = layout.scatter(jnp.stack(keys)), layout.place(transition)
-    ahead: Any = layout.scatter(_no_states(keys, transition, paths, filtered(count - 1)) if nexts is None else dict(nexts))
+    next_states: Any = layout.scatter(_no_states(keys, transition, paths, filtered(count - 1)) if nexts is None else dict(nexts))
     program, waiting, ready = None, list[tuple[list[FrameResult], Any]](), 0.0
     for high in range(count - 1, -1, -PIECE):
         frames = range(high, max(high - PIECE, -1), -1)
-        after = None if nexts is None and high == count - 1 else filtered(high + 1).restarted
+        next_restarted = None if nexts is None and high == count - 1 else filtered(high + 1).restarted
         results = [filtered(frame) for frame in frames]
-        numbers, begins, particles = _stacked(frames, results, after)
-        arguments = (run_keys, layout.place(numbers), _OfRuns(layout.scatter(begins), layout.scatter(particles), ahead), prior)
+        numbers, begins, particles = _stacked(frames, results, next_restarted)
+        arguments = (run_keys, layout.place(numbers), _OfRuns(layout.scatter(begins), layout.scatter(particles), next_states), prior)
         if program is None:
             began = time.perf_counter()
-            program = _compiled(layout.spread(lambda *given: _of_runs(paths, *given)), arguments)
+            program = _compiled(layout.spread(lambda *inputs: _of_runs(paths, *inputs)), arguments)
             ready = time.perf_counter() - began
-        ahead, states = program(*arguments)
+        next_states, states = program(*arguments)
         for piece in waiting:
             yield _fetched(*piece, last, ready)
             last, ready = time.perf_counter(), 0.0
@@ -122,16 +122,19 @@ def _no_states(keys: list[Key], transition: Transition, paths: int, frame: Frame
     return {name: np.zeros((len(keys), *leaf.shape), leaf.dtype) for name, leaf in form.items()}
 
 
-def _stacked(frames: range, results: list[FrameResult], after: np.ndarray | None) -> tuple[np.ndarray, Any, Particles]:
+def _stacked(frames: range, results: list[FrameResult], next_restarted: np.ndarray | None) -> tuple[np.ndarray, Any, Particles]:
     """Return the numbers, the places where paths begin, and the particles of a piece. A shorter piece is filled up with its last frame.
 
     Args:
         frames: the numbers of the frames.
         results: the filters' frames.
-        after: which runs start anew in the next frame; None if there is none.
+        next_restarted: which runs start anew in the next frame; None if there is none.
     """
     runs, missing = results[0].log_weights.shape[0], PIECE - len(frames)
-    begins = [np.ones(runs, bool) if after is None else _flags(after, runs), *(_flags(result.restarted, runs) for result in results[:-1])]
+    begins = [
+        np.ones(runs, bool) if next_restarted is None else _flags(next_restarted, runs),
+        *(_flags(result.restarted, runs) for result in results[:-1]),
+    ]
     filled = [*results, *results[-1:] * missing]
     states: dict[str, Any] = {name: np.stack([result.states[name] for result in filled], axis=1) for name in results[0].states}
     log_weights: Any = np.stack([result.log_weights for result in filled], axis=1)

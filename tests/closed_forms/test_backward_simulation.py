@@ -298,7 +298,9 @@ def test_gaussian_paths_of_all_runs_together_are_those_of_each_run():
     pieces = list(gaussian_pieces(keys, transition, paths, results.__getitem__, count))
     found = np.concatenate([piece.states["x"] for piece in pieces], axis=1)[:, ::-1]
     for run in range(runs):
-        frames = [Filtered(Particles({"x": x[t, run]}, weights[run]), None, t == 0 or (run == 0 and t == 7)) for t in range(count)]
+        frames = [
+            Filtered(Particles({"x": jnp.asarray(x[t, run])}, jnp.asarray(weights[run])), None, t == 0 or (run == 0 and t == 7)) for t in range(count)
+        ]
         walk = Backward(build_smoother(draws=paths, start="gaussian", moves=0), transition, lambda t, frames=frames: frames[t], _turning)
         alone = {one.frame: np.asarray(one.states["x"]) for one in walk.follow(keys[run], count)}
         np.testing.assert_allclose(found[run], np.stack([alone[t] for t in range(count)]), rtol=1e-3, atol=1e-3)

@@ -53,8 +53,8 @@ def states_before(key: Key, particles: Particles, nexts: State, transition: Tran
     mean, predicted = weights @ u, weights @ means
     P, C = (_covariance(weights, u - mean, other) for other in (u - mean, means - predicted))
     V = _covariance(weights, means - predicted, means - predicted) + jnp.diag(weights @ variances)
-    gain, rest = _given_next(P, C, V)
-    root = _root(rest, jnp.diagonal(P))
+    gain, conditional = _given_next(P, C, V)
+    root = _root(conditional, jnp.diagonal(P))
     v = jax.vmap(lambda state: flat.vector(sampled_of(transition, state)))(dict(nexts))
     centre, noise = jnp.mean(v, axis=0), noise_beside(key, v)
     # There are many paths: the maps of v and of the noise are multiplied first.
