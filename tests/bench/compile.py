@@ -30,7 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("session", type=Path, help="a session with silhouettes, such as the recording of `bayes-body demo`")
     parser.add_argument("--keypoints", type=Path, help="a session with keypoints, for the models that read them; without it these are left out")
-    parser.add_argument("--program", nargs="+", help=f"models, '{SEARCH}', or a model with '{FALLBACK}'; default: all")
+    parser.add_argument("--program", nargs="+", help=f"models, MODEL:KERNEL, '{SEARCH}', or a model with '{FALLBACK}'; default: all")
     parser.add_argument("--json", type=Path, help="write the rows there")
     parser.add_argument("--before", type=Path, help="rows of another version, for ratios")
     parser.add_argument("--row", help=argparse.SUPPRESS)
@@ -61,15 +61,15 @@ def programs(arguments):
     from bayes_body.model.kernel_options import kernel_of, kernel_options
     from bayes_body.tracking.program import parts_of
 
-    names = arguments.program or [SEARCH, *sorted(path.stem for path in definitions_folder().glob("*.toml"))]
+    names = arguments.program or [SEARCH, *sorted(path.stem for path in definitions_folder().glob("*.toml")), "keypoints:tempered"]
     for name in names:
-        model = name.removesuffix(FALLBACK)
+        model = name.removesuffix(FALLBACK).partition(":")[0]
         reads_keypoints = name != SEARCH and any(term.kind == "markers_gaussian" for term in load_definition(model).likelihoods)
         session = arguments.keypoints if reads_keypoints else arguments.session
         if session is None:
             continue
         yield name, session
-        if not arguments.program and name != SEARCH and parts_of(kernel_of(*kernel_options(load_definition(name), None, {}))) is not None:
+        if not arguments.program and name != SEARCH and ":" not in name and parts_of(kernel_of(*kernel_options(load_definition(name), None, {}))) is not None:
             yield f"{name}{FALLBACK}", session
 
 
@@ -117,7 +117,7 @@ def measured(function, arguments) -> dict:
 
 
 def frame_program(name: str, folder: Path):
-    """The step of one frame, as it is tracked: the model's own kernel and number of particles; or that of the kernel's fallback."""
+    """The step of one frame, as it is tracked: the model's kernel, or the one after a colon, with its particles; or that of the kernel's fallback."""
     import jax
 
     from bayes_body.base.errors import InputError
@@ -131,8 +131,8 @@ def frame_program(name: str, folder: Path):
     from bayes_body.tracking.program import parts_of
 
     session, wants_fallback = load_session(folder), name.endswith(FALLBACK)
-    name = name.removesuffix(FALLBACK)
-    kind, options = kernel_options(load_definition(name), None, {})
+    name, _, kind = name.removesuffix(FALLBACK).partition(":")
+    kind, options = kernel_options(load_definition(name), kind or None, {})
     try:
         model = load_model(name, session)
     except InputError:

@@ -45,8 +45,19 @@ def figures(session, model, kind, seed, cameras=None):
         "coverage_90": float(accuracy.coverage[-1]),
         "cpu_s": seconds,
         "log_evidence": float(sum(np.sum(frame.info.log_evidence) for frame in draws.frames)),
+        "evaluations": float(np.mean([np.mean(frame.info.evaluations) for frame in draws.frames])),
         "again": np.bincount(again, minlength=3).tolist(),
     }
+
+
+def print_costs(rows) -> None:
+    """Of each kernel, the median over the walks: CPU time a frame, also as a share of the last kernel's, and evaluations of the likelihood."""
+    kinds = list(dict.fromkeys(row["kernel"] for row in rows))
+    seconds = {kind: float(np.median([row["cpu_s"] for row in rows if row["kernel"] == kind])) for kind in kinds}
+    for kind in kinds:
+        evaluations = np.median([row["evaluations"] for row in rows if row["kernel"] == kind])
+        share = f"1/{seconds[kinds[-1]] / seconds[kind]:.0f} of {kinds[-1]}'s"
+        print(f"{kind}: {1e3 * seconds[kind]:.1f} ms CPU a frame, {share}; {evaluations:.0f} evaluations, {evaluations / seconds[kind]:.0f} a second")
 
 
 def main() -> None:
@@ -71,6 +82,7 @@ def main() -> None:
                     rows.append({"walk": name, "seed": seed, "kernel": kind, **found})
                     numbers = f"{found['error_mm']:9.1f} {found['coverage_90']:8.3f} {found['cpu_s']:8.4f} {found['log_evidence']:10.1f}"
                     print(f"{name:10} {seed:4d} {kind:10} {numbers}  {found['again']}", flush=True)
+    print_costs(rows)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
 

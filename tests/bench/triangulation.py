@@ -47,7 +47,7 @@ def compared(known, options):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=120)
+    parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the person, the keypoints and the draws")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     options = parser.parse_args()
