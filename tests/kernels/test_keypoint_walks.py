@@ -66,19 +66,20 @@ def test_against_weighted_triangulation(tmp_path):
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_in_one_camera_the_intervals_are_those_of_tempered_or_the_run_warns(tmp_path):
-    """Frames 10 to 20 of this walk: `laplace` bends a limb the other way, and its weights do not tell."""
-    person = person_of(shipped_walk(21, 0), True)
+    """Frames 10 to 20 of this walk: with `laplace` 76 % of the truth was inside, with `tempered` 95 %."""
+    person = person_of(shipped_walk(60, 0), True)
     session, _ = walk_session(tmp_path, person, Network(0.05, 0.1, "assumed", 1), ("C2",))
     model = bb.load_model("keypoints", session, show=lambda _: None)
     tempered, _ = _inside(session, model, model.kernel("tempered"), person.markers)
-    for kernel in (None, model.kernel("laplace")):
-        inside, sentences = _inside(session, model, kernel, person.markers)
-        assert abs(inside - tempered) < 0.05 or any("with 1 camera" in sentence for sentence in sentences), (kernel, inside, tempered)
+    # The default is tempered itself, unless someone changes it.
+    for kind in sorted({model.kernel().kind, "laplace"} - {"tempered"}):
+        inside, sentences = _inside(session, model, model.kernel(kind), person.markers)
+        assert abs(inside - tempered) < 0.05 or any("with 1 camera" in sentence for sentence in sentences), (kind, inside, tempered)
 
 
 def _inside(session, model, kernel, true):
     """The share of the truth inside the 90 % intervals in frames 10 to 20, and the warnings of the run."""
     with pytest.warns(bb.RunWarning):
         draws = bb.track(jax.random.key(1), session, model, kernel, frames=21)
-    late = against_truth(model, lambda: (Cloud(frame.states["pose"], frame.log_weights) for frame in draws.frames[10:]), true[10:])
+    late = against_truth(model, lambda: (Cloud(frame.states["pose"], frame.log_weights) for frame in draws.frames[10:]), true[10:21])
     return float(late.plain.coverage[LEVELS.index(0.9)]), draws.warnings
