@@ -14,11 +14,15 @@ from bayes_body.cli.terminal import say
 if TYPE_CHECKING:
     from bayes_body.model.definition import Definition
     from bayes_body.recording.session.session import Session
+    from bayes_body.runs.settings import LiveSettings
 
 # The largest seed of a JAX key without 64-bit arrays.
 LARGEST_SEED = 2**32 - 1
 # With fewer draws, 5 % and 95 % quantiles rest on one or two of them.
 FEWEST_KEPT = 20
+# Seconds without a new file after which a live recording has ended: by default, and at most a day.
+WAIT_S, LONGEST_WAIT_S = 10.0, 86_400.0
+LARGEST_PORT = 65_535
 
 
 def track(
@@ -67,6 +71,21 @@ def track(
         None, "--keep", metavar="draws=N", help="Store N draws of a frame and run instead of all particles; diagnostics are computed from all."
     ),
     no_pictures: bool = typer.Option(False, "--no-pictures", help="Leave out overlay.mp4 and the stills; --resume without this option draws them."),
+    live: Path | None = typer.Option(
+        None,
+        "--live",
+        metavar="FOLDER",
+        help="Track frames as they come: folder to which a pose estimator writes CAMERA_json, a file a frame. For models that read keypoints only.",
+    ),
+    wait: float | None = typer.Option(
+        None,
+        "--wait",
+        metavar="SECONDS",
+        help=f"Seconds without a new file that end the recording (--live only); {WAIT_S:g} by default.",
+    ),
+    port: int | None = typer.Option(
+        None, "--port", help="Port of the page that shows the last second, on this machine (--live only); a free one by default."
+    ),
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
@@ -77,14 +96,17 @@ def track(
     from bayes_body.model.definition import load_definition
     from bayes_body.results.storage.names import RUN_FILE
     from bayes_body.results.storage.run_file import read_run_file
+    from bayes_body.runs.live import run_live
     from bayes_body.runs.run import run
     from bayes_body.runs.settings import AUTO, GIVEN, Settings
 
-    recording = _recording(session, first_frame)
+    live_settings = live_of(live, wait, port)
+    # Frames of a live recording may still come.
+    recording = _recording(session, None if live_settings else first_frame)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
         check_range(f"--{name.replace('_', '-')}", value, 1)
-    check_range("--frames", frames, 1, recording.frames)
+    check_range("--frames", frames, 1, None if live_settings else recording.frames)
     check_range("--seed", seed, 0, LARGEST_SEED)
     if init not in (None, GIVEN, AUTO):
         raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
@@ -93,9 +115,8 @@ def track(
     folder = out or _free_run(session, resume)
     if out is None:
         say(f"run        {folder}")
-    asked = Settings(
-        session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws_of(keep), not no_pictures
-    )
+    kept, pictures = draws_of(keep), not no_pictures
+    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, kept, pictures, live_settings)
     with own_terms(plugin):
         definition = None
         if resume and (folder / RUN_FILE).exists():
@@ -103,9 +124,9 @@ def track(
             definition = load_definition(read_run_file(folder)["run"]["model"])
         if model is not None:
             definition = checked_definition(model)
-        _check_files(recording, frames, definition)
-        run(asked, show=lambda line: say(line), bar=True)
-    say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures else 'overlay.mp4, overlay/, '}frames/, run.toml")
+        _check_files(recording, None if live_settings else frames, definition)
+        (run_live if live_settings else run)(asked, show=lambda line: say(line), bar=True)
+    say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures or live_settings else 'overlay.mp4, overlay/, '}frames/, run.toml")
 
 
 def draws_of(keep: str | None) -> int | None:
@@ -120,6 +141,28 @@ def draws_of(keep: str | None) -> int | None:
     if name != "draws" or not (number.isascii() and number.isdecimal()) or int(number) < FEWEST_KEPT:
         raise input_error("--keep", keep, f"draws=N with N from {FEWEST_KEPT} up", "give --keep draws=200, for example")
     return int(number)
+
+
+def live_of(folder: Path | None, wait_s: float | None, port: int | None) -> "LiveSettings | None":
+    """Return the settings of --live; None without it.
+
+    Raises:
+        InputError: --wait or --port without it, or outside its range; or no such folder.
+    """
+    from bayes_body.runs.settings import LiveSettings
+
+    for option, value in (("--wait", wait_s), ("--port", port)):
+        if folder is None and value is not None:
+            raise input_error(option, f"{value:g} without --live", "--live FOLDER", "add it, or leave the option out")
+    if folder is None:
+        return None
+    if not folder.is_dir():
+        expected = "the folder to which the pose estimator writes a folder CAMERA_json for each camera"
+        raise input_error(f"--live {folder}", "not a folder" if folder.exists() else "no such folder", expected, "check the path")
+    if wait_s is not None and not 0 < wait_s <= LONGEST_WAIT_S:
+        raise input_error("--wait", f"{wait_s:g}", f"seconds, above 0, up to {LONGEST_WAIT_S:g}", "give another number")
+    check_range("--port", port, 0, LARGEST_PORT)
+    return LiveSettings(folder, WAIT_S if wait_s is None else wait_s, port or 0)
 
 
 def _free_run(session: Path, resume: bool) -> Path:

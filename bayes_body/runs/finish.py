@@ -80,6 +80,7 @@ def finish(
     bar: bool,
     smoothed: bool = False,
     pictures: bool = True,
+    live: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write posterior, summary and pictures, unless they exist for these frames, and show figures and warnings. Return the content of the summary.
 
@@ -96,6 +97,7 @@ def finish(
         smoothed: whether a draw is a path through all frames.
         pictures: whether to draw the video and the stills, and to compare a body that was fitted to keypoints with the silhouettes. A later call may
             draw them.
+        live: figures of a run whose frames came while they were tracked, for the summary.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -111,6 +113,8 @@ def finish(
         summary = summarise(session, draws, **figures, watch=watched("figures", bar), pictures=pictures) | diagnosis
         summary["angles"] = _angles(session, draws.model, results) if smoothed else None
         summary["frame_pairs"] = remarks
+        if live is not None:
+            summary["live"] = dict(live)
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)

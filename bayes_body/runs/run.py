@@ -4,10 +4,9 @@
 are kept. A later call continues it to the same result.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
@@ -15,6 +14,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.lock import locked
 from bayes_body.base.progress import waiting
 from bayes_body.base.registry import find, notes
+from bayes_body.density.kernel import Kernel
 from bayes_body.initial import (
     Show,
     apply_first_pose,
@@ -44,10 +44,25 @@ from bayes_body.results.storage.run_file import describe, write_run_file
 from bayes_body.runs.finish import check_pairs, finish, kept_frames, remark_on_stop
 from bayes_body.runs.progress import progress_bar
 from bayes_body.runs.recovery import PersonRecovery
-from bayes_body.runs.settings import AUTO, GIVEN, Record, Settings, choose, choose_model, frames_from, number_of_first, stored_record
+from bayes_body.runs.settings import (
+    AUTO,
+    GIVEN,
+    Chosen,
+    Record,
+    Settings,
+    check_live,
+    choose,
+    choose_model,
+    frames_from,
+    number_of_first,
+    stored_record,
+)
 from bayes_body.runs.size import check_size, disk_lines, draws_to_keep
+from bayes_body.tracking.draws import Draws
+from bayes_body.tracking.observations import Observed
 from bayes_body.tracking.program import Ahead, compiled_ahead
-from bayes_body.tracking.track import track
+from bayes_body.tracking.restarts import Recovery
+from bayes_body.tracking.track import Progress, track
 from bayes_body.view.figures_text import warning_line
 
 
@@ -67,12 +82,77 @@ def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -
     """
     # The lock comes first: what another process writes after a look into the folder would not be noticed.
     with locked(settings.out):
-        return _run(settings, show, bar, ahead)
+        before = stored_record(settings)
+        chosen, whole = choose(settings, before), load_session(settings.session)
+        begun = begin(settings, before, chosen, whole, show, bar, ahead)
+        wanted, frames = chosen.frames or begun.session.frames, begun.frames
+        with remark_on_stop(frames, settings.out, show):
+            with progress_bar(bar and len(frames) < wanted, len(frames)) as on_frame:
+                recovery = PersonRecovery(begun.session, begun.model, chosen.seed, show) if begun.recover else None
+                draws = begun.track(wanted, on_frame, recovery)
+            return begun.finish(begun.session, draws, show, bar, settings.pictures)
 
 
-def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict[str, Any]:
-    before = stored_record(settings)
-    chosen, whole = choose(settings, before), load_session(settings.session)
+class BegunRun(NamedTuple):
+    """A run whose `run.toml` is written, before its next frame.
+
+    Attributes:
+        session: the recording from the first tracked frame on.
+        model: starts from the first pose.
+        kernel: the kernel that tracks.
+        kind: its name.
+        particles: number of particles of a run.
+        runs: number of independent filters.
+        seed: seed of everything random.
+        recover: whether a lost run looks for the person again.
+        record: the tables of `run.toml`.
+        remarks: warnings about the run, for its summary.
+        frames: the stored frames.
+        ahead: the program that is being compiled; None if it is not.
+    """
+
+    session: Session
+    model: Model
+    kernel: Kernel
+    kind: str
+    particles: int
+    runs: int
+    seed: int
+    recover: bool
+    record: Record
+    remarks: list[str]
+    frames: FrameFiles
+    ahead: Ahead | None
+
+    def track(
+        self, wanted: int, on_frame: Callable[[Progress], None], recovery: Recovery | None = None, arriving: Generator[Observed] | None = None
+    ) -> Draws:
+        """Track the frames that are not stored yet (`tracking.track`)."""
+        key = jax.random.key(self.seed)
+        session, model, kernel = self.session, self.model, self.kernel
+        return track(key, session, model, kernel, self.particles, self.runs, wanted, on_frame, self.frames, self.ahead, recovery, arriving)
+
+    def finish(self, session: Session, draws: Draws, show: Show, bar: bool, pictures: bool, live: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Write posterior, summary and pictures (`finish`). `session` has all tracked frames."""
+        results, figures = Results(self.frames.folder.parent, self.frames), {"kernel": self.kind, "seed": self.seed}
+        return finish(session, draws, results, figures, self.remarks, show, bar, pictures=pictures, live=live)
+
+
+def begin(settings: Settings, before: Record | None, chosen: Chosen, whole: Session, show: Show, bar: bool, ahead: Ahead | None = None) -> BegunRun:
+    """Choose the model, find the first pose, and write `run.toml`. The folder must be locked.
+
+    Args:
+        settings: the settings of the run.
+        before: the tables of the run that is continued; None for a new one.
+        chosen: the settings with their defaults.
+        whole: the session.
+        show: receives lines for the user.
+        bar: whether to show the progress on standard error.
+        ahead: as in `run`.
+
+    Raises:
+        InputError: as in `run`.
+    """
     session = frames_from(whole, chosen.first_frame, show)
     if chosen.init == AUTO:
         session = unposed(session)
@@ -89,6 +169,9 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
         session = with_first_keypoints(model, session)
     first_pose_table = (before or {}).get("first_pose")
     source = first_pose_source(model, session, first_pose_table)
+    recover = find("kernel", kind).recovers if chosen.recover is None else chosen.recover
+    if chosen.live:
+        check_live(model, session, source, recover)
     if source == "searched":
         check_pictures(model, session)
     if source != "stored":
@@ -96,16 +179,16 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     if source == "given":
         check_view(session, model)
     true_markers(session)
-    recover = find("kernel", kind).recovers if chosen.recover is None else chosen.recover
     keep = draws_to_keep(chosen.keep, options.model_dump(), show)
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover, "keep": keep}
-    described["first_frame"] = number_of_first(session, whole)
+    described |= {"first_frame": number_of_first(session, whole), "live": chosen.live or None}
     record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
         refuse_changes(settings.out, before, record)
         # Its texts stay as they were: no number depends on what differs, but the run's id does.
         record = {**record, "definition": before["definition"]}
-    remarks = check_pairs(session, model, chosen.frames or session.frames, show, bar)
+    wanted = chosen.frames or session.frames
+    remarks = check_pairs(session, model, wanted, show, bar)
     if warning:
         show(warning_line(warning))
         remarks = [warning, *remarks]
@@ -119,20 +202,12 @@ def _run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None) -> dict
     if source != "given":
         record = {**record, "first_pose": stored(model, estimate)}
     _show_first_fit(session, model, show)
-    wanted, first = chosen.frames or session.frames, session.first_frame
-    frames = _begin(settings.out, before, record, wanted, first, show, thinning_of(model.transition, keep))
-    for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, wanted, len(frames), keep):
+    frames = _stored_frames(settings, before, record, wanted, session.first_frame, show, thinning_of(model.transition, keep))
+    for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, max(wanted, len(frames)), len(frames), keep):
         show(line)
     for note in notes([("kernel", kind), *(("likelihood", term.kind) for term in definition.likelihoods)]):
         show(note)
-    with remark_on_stop(frames, settings.out, show):
-        with progress_bar(bar and len(frames) < (chosen.frames or session.frames), len(frames)) as on_frame:
-            key, many = jax.random.key(chosen.seed), options.particles
-            recovery = PersonRecovery(session, model, chosen.seed, show) if recover else None
-            draws = track(key, session, model, kernel, many, chosen.runs, chosen.frames, on_frame, frames, ahead, recovery)
-        results = Results(settings.out, frames)
-        figures = {"kernel": kind, "seed": chosen.seed}
-        return finish(session, draws, results, figures, remarks, show, bar, pictures=settings.pictures)
+    return BegunRun(session, model, kernel, kind, options.particles, chosen.runs, chosen.seed, recover, record, remarks, frames, ahead)
 
 
 def _chosen_model(session: Session, show: Show) -> str:
@@ -150,18 +225,21 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
         show(f"note: neither silhouettes nor keypoints tell whether the body is on the person in frame {session.first_frame}: look at the overlay.")
 
 
-def _begin(
-    out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show, thinning: Thinning | None
+def _stored_frames(
+    settings: Settings, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show, thinning: Thinning | None
 ) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
+    out = settings.out
     frames = kept_frames(out, before, record, show, thinning)
     if before is None:
         return frames
-    if len(frames) > wanted:
-        raise input_error("--frames", str(wanted), f"at least the {len(frames)} frames that the run has", "give a larger number")
+    if len(frames) > wanted and not settings.live:
+        problem, expected = str(wanted), f"at least the {len(frames)} frames that the run has"
+        raise input_error("--frames", problem, expected, f"give a larger number{', or go on with --live' if before['run'].get('live') else ''}")
     if len(frames):
-        where = f"continuing at frame {len(frames)} of {wanted}" + (f", number {first + len(frames)} of the recording" if first else "")
-        what = where if len(frames) < wanted else f"all {wanted} frames exist, nothing is left to track"
-        show(f"{out}: {what}")
+        number = f", number {first + len(frames)} of the recording" if first else ""
+        goes_on = len(frames) < wanted or settings.live
+        where = f"continuing at frame {len(frames)}{'' if settings.live else f' of {wanted}'}{number}"
+        show(f"{out}: {where if goes_on else f'all {wanted} frames exist, nothing is left to track'}")
     write_run_file(out, record)
     return frames

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from bayes_body.base.errors import input_error
 from bayes_body.initial import Show
+from bayes_body.initial.fitting.report import Source
+from bayes_body.model.build import Model
 from bayes_body.recording.observation.silhouettes import has_silhouettes
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.session.read import FILE_NAME
@@ -25,6 +27,21 @@ GIVEN, AUTO = "given", "auto"
 DEFAULTS = {"runs": 1, "seed": 0, "init": GIVEN}
 
 type Record = dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Where the frames of a session come from while it is recorded.
+
+    Attributes:
+        folder: has a folder CAMERA_json of keypoint files for each camera.
+        wait_s: seconds without a new file after which the recording has ended.
+        port: the port of the page that shows the last second; 0 for a free one.
+    """
+
+    folder: Path
+    wait_s: float
+    port: int = 0
 
 
 @dataclass(frozen=True)
@@ -46,6 +63,7 @@ class Settings:
         resume: whether to continue the run in the folder.
         keep: number of draws of a frame and run that are stored; None for all particles.
         pictures: whether to draw the video and the stills.
+        live: where later frames come from; None if the session has them all.
     """
 
     session: Path
@@ -62,13 +80,14 @@ class Settings:
     resume: bool = False
     keep: int | None = None
     pictures: bool = True
+    live: LiveSettings | None = None
 
 
 class Chosen(NamedTuple):
     """Settings with their defaults.
 
     None means: for `model`, chosen by the session's data; for `kernel`, the model's own; for `first_frame`, the session's; for `frames`, all; for
-    `recover`, by the kernel; for `keep`, all particles.
+    `recover`, by the kernel; for `keep`, all particles. `live` says whether frames came while the session was recorded, in this process or before.
     """
 
     model: str | None
@@ -80,6 +99,7 @@ class Chosen(NamedTuple):
     init: str
     recover: bool | None
     keep: int | None
+    live: bool
 
 
 def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -> Chosen:
@@ -87,7 +107,33 @@ def choose(settings: Settings, stored: Mapping[str, Mapping[str, Any]] | None) -
     defaults = DEFAULTS if stored is None else {**stored["run"], "kernel": stored["kernel"]["kind"]}
     values: dict[str, Any] = {name: getattr(settings, name) for name in Chosen._fields}
     chosen: dict[str, Any] = {name: defaults.get(name) if value is None else value for name, value in values.items()}
-    return Chosen(**chosen)
+    # A run that ended may go on live: its number of frames is then no limit.
+    limit = settings.frames if settings.live else chosen["frames"]
+    return Chosen(**{**chosen, "frames": limit, "live": bool(chosen["live"])})
+
+
+def check_live(model: Model, session: Session, source: Source, recover: bool) -> None:
+    """Check that a run needs only keypoints, of cameras that stand still, and no search in pictures.
+
+    Args:
+        model: the model of the run.
+        session: the recording.
+        source: where the first pose comes from.
+        recover: whether a lost run looks for the person again.
+
+    Raises:
+        InputError: it needs more.
+    """
+    if model.reads_pictures or model.reads_before:
+        problem = f"the model '{model.definition.name}' reads {' and '.join(model.reads)}{' and the frame before' * model.reads_before}"
+        raise input_error("--live", problem, "a model that reads only the keypoints of a frame", f"give --model {KEYPOINT_MODEL}")
+    if session.moves:
+        raise input_error("--live", "a camera of the session moves", "cameras that stand still", "track it after the recording, without --live")
+    if source == "searched":
+        problem = f"frame {session.first_frame} has too few keypoints for a first pose, or --init auto looks for it in pictures"
+        raise input_error("--live", problem, "keypoints of the person in that frame", "begin at a later one with --first-frame, without --init")
+    if recover:
+        raise input_error("--live", "a lost run would look for the person in pictures", "a run that does not", "give --no-recover")
 
 
 def stored_record(settings: Settings) -> Record | None:

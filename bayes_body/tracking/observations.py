@@ -7,8 +7,8 @@ import numpy as np
 
 from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.recording.observation.frames import cameras_with_picture, prefetch, read_frame
-from bayes_body.recording.session.session import Session
+from bayes_body.recording.observation.frames import cameras_with_picture, frame_of_keypoints, prefetch, read_frame
+from bayes_body.recording.session.session import Keypoints, Session
 
 # Number of frames that are read forwards and then yielded backwards: a video cannot be read backwards.
 PIECE = 8
@@ -39,6 +39,19 @@ def observations_backwards(session: Session, model: Model, last: int, visibility
     pieces = [range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE)]
     for piece in prefetch(pieces, lambda some: [_observe(session, model, index, visibility(index)) for index in some]):
         yield from reversed(piece)
+
+
+def observe_keypoints(session: Session, model: Model, index: int, keypoints: tuple[Keypoints | None, ...]) -> Observed:
+    """Return the data of a frame of still cameras for a model that reads only keypoints.
+
+    Args:
+        session: the recording; it need not have the frame yet.
+        model: the model.
+        index: the frame's number, counted from 0.
+        keypoints: of each camera; None for one that did not see the frame.
+    """
+    frame = frame_of_keypoints(session, index, keypoints)
+    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), None)
 
 
 def _observe(session: Session, model: Model, index: int, visibility: Sequence[bool] | None = None) -> Observed:

@@ -8,7 +8,7 @@ If no trajectory of a frame is accepted, tracking stops with an error, since all
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
@@ -77,6 +77,7 @@ class Progress(NamedTuple):
         ess: smallest effective sample size over the runs, particles.
         survival_rate: smallest final survival rate over the runs.
         lost: whether a run lost this frame.
+        result: the frame itself.
     """
 
     frame: int
@@ -85,6 +86,7 @@ class Progress(NamedTuple):
     ess: float
     survival_rate: float
     lost: bool
+    result: FrameResult | None = None
 
 
 def track(
@@ -99,6 +101,7 @@ def track(
     into: FrameStore | None = None,
     ahead: Ahead | None = None,
     recovery: Recovery | None = None,
+    arriving: Generator[Observed] | None = None,
 ) -> Draws:
     """Filter a session. `bayes_body.track` does this and looks at the result.
 
@@ -109,12 +112,15 @@ def track(
         kernel: by default the model's own, `model.kernel()`.
         particles: number of particles per run; by default the kernel's option `particles`, or 1000 if it has no options.
         runs: number of independent filters, which ArviZ calls chains.
-        frames: number of frames to track, from the first; all by default. `recording.excerpt` makes a session that begins later.
+        frames: number of frames to track, from the first; all by default. `recording.excerpt` makes a session that begins later. With `arriving`,
+            the most that are tracked.
         on_frame: called after each frame is stored.
         into: the store of the frames, such as `storage.FrameFiles`; a list by default. Frames that it already holds are not computed again: the
             filters continue from the last of them.
         ahead: the result of `compiled_ahead` for this session and kernel, and for a model of the same form.
         recovery: finds the person again after a loss, such as `runs.recovery.PersonRecovery`; by default a lost run stays lost.
+        arriving: yields the frames' data as they come, from the first one that `into` does not have. A frame is then stored before the next one is
+            asked for. By default, the session's frames are read.
 
     Raises:
         InputError: no particles, runs or frames; `into` holds other numbers of them; a frame's images cannot be read, or a frame cannot be stored; no
@@ -123,7 +129,8 @@ def track(
     kernel = model.kernel() if kernel is None else kernel
     particles = _particles_of(kernel) if particles is None else particles
     count = session.frames if frames is None else frames
-    for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, session.frames)):
+    most_frames = session.frames if arriving is None else None
+    for name, value, most in (("particles", particles, None), ("runs", runs, None), ("frames", count, most_frames)):
         if value < 1 or (most is not None and value > most):
             raise input_error(name, str(value), f"a whole number from 1{f' to {most}' if most else ' up'}", "give another number")
     store: FrameStore = [] if into is None else into
@@ -131,10 +138,10 @@ def track(
     filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
     timing = timing_of(store)
     if done < count:
-        with closing(observations(session, model, range(done, count))) as observed:
+        with closing(observations(session, model, range(done, count)) if arriving is None else arriving) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
             computed: list[FrameResult] = []
-            results = _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame, computed)
+            results = _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame, computed, arriving is not None)
             timing = _follow(store, _to_the_last(results, computed), count, on_frame, timing)
     cameras = tuple(view.camera.name for view in session.views)
     name = getattr(kernel, "kind", "")
@@ -185,11 +192,12 @@ def _filter(
     restarts: Restarts | None,
     number: int,
     computed: list[FrameResult],
+    at_once: bool,
 ) -> Iterator[FrameResult]:
     """Yield the results of all runs for each frame from `first` on. Only the particles of the last two frames stay in memory.
 
-    A result waits in `computed` until the device works on the next frame. The last one stays there. `number` is the number of frame 0 in the
-    recording.
+    A result waits in `computed` until the device works on the next frame, unless it is wanted at once. The last one stays there. `number` is the
+    number of frame 0 in the recording.
     """
     last = time.perf_counter()
     layout = layout_of(kernel, len(filters))
@@ -223,6 +231,8 @@ def _filter(
         if restarts is not None:
             restarts.watch(result, frame)
         computed.append(result)
+        if at_once:
+            yield computed.pop()
 
 
 def _to_the_last(results: Iterator[FrameResult], computed: list[FrameResult]) -> Iterator[FrameResult]:
@@ -253,6 +263,7 @@ def _progress(result: FrameResult, frame: int, frames: int, seconds: float) -> P
         ess=float(np.min(result.info.ess)),
         survival_rate=float(_final(result.info.survival_rate).min()),
         lost=result.lost,
+        result=result,
     )
 
 

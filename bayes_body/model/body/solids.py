@@ -101,6 +101,12 @@ def part_transforms(body: Body, configuration: Configuration) -> Transform:
     return transforms.compose(joints, Transform(body.presets, body.offsets))
 
 
+def part_axes(body: Body, configuration: Configuration) -> Float[Array, "part 2 3"]:
+    """The two ends of each part's axis, metres."""
+    T_world_part = part_transforms(body, configuration)
+    return jnp.stack([T_world_part.origin, T_world_part.origin + body.lengths[:, None] * T_world_part.z], axis=1)
+
+
 def widened(body: Body, configuration: Configuration) -> Body:
     """The body with its radii changed by the dofs of axis `width`, which only a pose has."""
     if not body.topology.widths:

@@ -99,6 +99,14 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
 
 
+def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
+    """Return frame `index` of a session, counted from 0, of which only keypoints are known: None for a camera that did not see it."""
+    have_image = tuple(points is not None for points in keypoints)
+    sizes = tuple(view.camera.size_px for view in session.views)
+    cameras = tuple(view.camera for view in session.views)
+    return Frame(index, (None,) * len(have_image), None, None, sizes, keypoints, cameras, None, have_image)
+
+
 def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
     """Which cameras have a picture of a frame, without decoding any (`pictures.has_picture`). For a model that reads none, these see the frame.
 

@@ -87,7 +87,7 @@ def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) 
             numbers = [number for number in range(first, first + session.frames) if number in files or number == first]
             series = dict(zip(numbers, read_openpose(folder, numbers), strict=True))
             nobody = np.zeros((0, 0, 3))
-            cameras.append([_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
+            cameras.append([visible_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
             if len(numbers) < session.frames:
                 lost = f"{session.frames - len(numbers)} of {session.frames} frames have no file in {folder}"
                 remarks.append(f"camera '{view.camera.name}': {lost}: its keypoints are missing there.")
@@ -95,7 +95,8 @@ def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) 
     return [list(frame) for frame in zip(*cameras, strict=True)], remarks
 
 
-def _people(people: People) -> People:
+def visible_people(people: People) -> People:
+    """The people of whom a keypoint was found."""
     return people[np.isfinite(people[..., 0]).any(axis=1)]
 
 
@@ -123,14 +124,17 @@ def _inside(camera: CameraSpec, points: Float[np.ndarray, "*_ 3"]) -> np.ndarray
     return (points[..., :2] >= 0).all(axis=-1) & (points[..., :2] <= camera.size_px).all(axis=-1)
 
 
+def subject_row(camera: CameraSpec, people: People, place: int | None, keypoints: int) -> Float[np.ndarray, "keypoint 3"]:
+    """The subject's keypoints inside the image, among the people of a frame; NaN without a place."""
+    row = np.full((keypoints, 3), np.nan) if place is None else people[place].copy()
+    row[~_inside(camera, row)] = (np.nan, np.nan, 0.0)
+    return row
+
+
 def _written(session: Session, view: View, c: int, people: Sequence[Sequence[People]], places: Sequence[Places], order: Layout) -> str:
     """Write the camera's file with the subject's keypoints inside the image; returns its name as the session writes it."""
-    points = np.full((session.frames, len(order.keypoints), 3), np.nan)
-    for row, frame, chosen in zip(points, people, places, strict=True):
-        place = chosen[c]
-        if place is not None:
-            row[:] = frame[c][place]
-    points[~_inside(view.camera, points)] = (np.nan, np.nan, 0.0)
+    count = len(order.keypoints)
+    points = np.stack([subject_row(view.camera, frame[c], chosen[c], count) for frame, chosen in zip(people, places, strict=True)])
     name = f"{FOLDER}/{view.camera.name}.npz"
     write_series(session.folder / name, KeypointSeries(points, order.keypoints, session.number(view, 0)))
     return name

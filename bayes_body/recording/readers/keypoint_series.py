@@ -128,23 +128,37 @@ type Body = Float[np.ndarray, "keypoint _"]
 type Places = tuple[int | None, ...]
 
 
-def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[People]]) -> list[Places]:
-    """The subject's index in each camera's list of people, frame by frame; None where the subject is not visible.
+class PersonFollower:
+    """Follow the subject frame by frame, as frames come; it remembers the body of the previous frame.
 
     Args:
         cameras: calibrated.
-        frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
     """
-    places, previous_body = [], None
-    for people in frames:
+
+    def __init__(self, cameras: Sequence[CameraSpec]):
+        self._cameras = cameras
+        self._previous_body: Body | None = None
+
+    def follow(self, people: Sequence[People]) -> Places:
+        """The subject's index in each camera's list of people in the next frame; None where the subject is not visible.
+
+        Args:
+            people: for each camera, column, row (pixels; NaN where not visible) and confidence.
+        """
+        cameras, previous_body = self._cameras, self._previous_body
         nearest_people = tuple(_nearest(camera, among, previous_body) for camera, among in zip(cameras, people, strict=True))
         subject = _agreeing(cameras, people, nearest_people, previous_body)
         if subject is None:
             chosen = choose_person(cameras, people)
             subject = nearest_people if chosen is None else chosen.places
-        previous_body = _body(cameras, people, subject, previous_body)
-        places.append(subject)
-    return places
+        self._previous_body = _body(cameras, people, subject, previous_body)
+        return subject
+
+
+def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[People]]) -> list[Places]:
+    """The subject's index in each camera's list of people, for each frame in order (`PersonFollower`)."""
+    follower = PersonFollower(cameras)
+    return [follower.follow(people) for people in frames]
 
 
 def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, previous_body: Body | None) -> Places | None:

@@ -13,6 +13,7 @@ import tomlkit
 from tomlkit.items import Array, Table
 
 from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import write_text
 from bayes_body.base.files.read import check_native
 from bayes_body.base.toml.read import read_toml, validate
 from bayes_body.recording.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
@@ -236,3 +237,24 @@ def save_session(session: Session) -> Path:
     except OSError as error:
         raise input_error(path, f"cannot be written ({error.strerror})", "a folder for the session", "name a folder in which you can write") from None
     return path
+
+
+def extend_session_file(path: Path, frames: int) -> None:
+    """Write the number of frames of a recording that has become longer; all else in the file stays, comments included.
+
+    Args:
+        path: the `session.toml`.
+        frames: the number of frames from the session's first one on. A smaller number than the file has changes nothing.
+
+    Raises:
+        InputError: the file cannot be read or written.
+    """
+    tables = read_toml(path)
+    if tables["frames"] >= frames:
+        return
+    text = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
+    text["frames"] = frames
+    if "recorded" in tables:
+        start, count = tables["recorded"]
+        text["recorded"] = [start, max(count, tables.get("first_frame", 0) - start + frames)]
+    write_text(path, tomlkit.dumps(text))

@@ -6,6 +6,8 @@ RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, FRAMES_FOLDER = "run.toml
 # In the folder of the frames: the index of those whose draws are in the posterior.
 INDEX_FILE = "index.npz"
 OVERLAY_FILE, OVERLAY_FOLDER = "overlay.mp4", "overlay"
+# The delay of each frame that was tracked while the session was recorded.
+DELAYS_FILE = "live.csv"
 # Everything that a run writes, except its settings and its lock.
 RESULTS = (FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, OVERLAY_FILE, OVERLAY_FOLDER)
 

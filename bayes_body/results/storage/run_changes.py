@@ -59,6 +59,8 @@ NAMED = 4
 RECORDING = "recording: "
 # What a file says of itself: no number depends on it.
 DESCRIPTIONS = {f"{file}: {key}" for file in ("the model's file", "the body's file") for key in ("title", "source")}
+# What changes in a session while it is recorded.
+GROWING = (f"{FILE_NAME}: frames", f"{FILE_NAME}: recorded")
 # Digits of a run's id.
 DIGITS = 16
 
@@ -106,6 +108,9 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     named |= {f"the plugin {name}": meaning(text) for name, text in kept_plugins(record).items()}
     texts = {"the model's file": definition.get("text", ""), "the body's file": definition.get("body_text", ""), FILE_NAME: record["session"]["text"]}
     named |= {f"{title}: {key}": value for title, text in texts.items() for key, value in _leaves(parse_toml(text, title))}
+    if run.get("live"):
+        # The recording grows during such a run.
+        return {key: value for key, value in named.items() if key not in GROWING and not key.startswith(tuple(f"{key}." for key in GROWING))}
     return named | {f"{RECORDING}{name}": digest for name, digest in record.get("inputs", {}).items()}
 
 

@@ -46,6 +46,8 @@ class RunTable(Schema):
     init: Literal["given", "auto"] = "given"
     recover: Annotated[bool, Field(strict=True)] = False
     keep: Count | None = None
+    # Whether frames came while the session was recorded.
+    live: Annotated[bool, Field(strict=True)] = False
 
 
 class KernelTable(Schema):

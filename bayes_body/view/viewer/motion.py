@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.base.geometry import rotations
 from bayes_body.base.shapes import Configuration
-from bayes_body.model.body.solids import Body, part_transforms, widened
+from bayes_body.model.body.solids import Body, part_axes, part_transforms, widened
 from bayes_body.results.posterior import central_pose
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.resampling import RESAMPLING_SEED
@@ -83,8 +83,7 @@ def _solids(body: Body, configuration: Configuration) -> tuple[Float[Array, "par
 
 @jax.jit
 def _axes(body: Body, configurations: Float[Array, "draw *shape"]) -> Float[Array, "draw part 2 3"]:
-    T_world_part = jax.vmap(part_transforms, (None, 0))(body, configurations)
-    return jnp.stack([T_world_part.origin, T_world_part.origin + body.lengths[:, None] * T_world_part.z], axis=2)
+    return jax.vmap(part_axes, (None, 0))(body, configurations)
 
 
 # Bytes of a page: small enough to be mailed. Of them, for the draws and for the images.
