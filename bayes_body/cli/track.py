@@ -124,7 +124,8 @@ def track(
             definition = load_definition(read_run_file(folder)["run"]["model"])
         if model is not None:
             definition = checked_definition(model)
-        _check_files(recording, None if live_settings else frames, definition)
+        if live_settings is None:
+            _check_files(recording, frames, definition)
         (run_live if live_settings else run)(asked, show=lambda line: say(line), bar=True)
     say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures or live_settings else 'overlay.mp4, overlay/, '}frames/, run.toml")
 

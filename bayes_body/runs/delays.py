@@ -61,8 +61,9 @@ class Delays:
         return {"delay_s": last.delay_s, "waiting": last.waiting, "frames_per_second": len(self._recent) / RATE_S}
 
     def figures(self) -> dict[str, Any]:
-        """The figures of the frames from the first one after which none waited; of all frames if there is none."""
-        caught_up = next((place for place, delay in enumerate(self._delays) if not delay.waiting), None)
+        """The figures of the frames from the first one after which none waited; of all frames if that was never so before the last one."""
+        # After the last frame nothing waits in any case.
+        caught_up = next((place for place, delay in enumerate(self._delays[:-1]) if not delay.waiting), None)
         counted = self._delays[caught_up or 0 :]
         if not counted:
             return {"frames": 0}

@@ -69,7 +69,9 @@ def run_live(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
             finally:
                 arriving.stop()
                 arriving.extend_session(file)
-            figures = {**delays.figures(), "end": arriving.end, "missing": arriving.missing(range(first, first + len(begun.frames)))}
+            tracked = len(begun.frames)
+            end = f"{tracked} frames were asked for" if tracked == chosen.frames else arriving.end
+            figures = {**delays.figures(), "end": end, "missing": arriving.missing(range(first, first + tracked))}
         session = _note_end(begun, settings.out, file, chosen)
         summary = begun.finish(session, draws, show, bar, pictures=False, live=figures)
         for line in delay_lines(figures):
