@@ -57,6 +57,7 @@ class ArrivingKeypoints:
     Attributes:
         session: the session as it was when the frames began to come.
         frames: the frames that have been read.
+        wait_s: seconds that `wait_for` waits for a frame; then the recording has ended.
         end: why no further frame will be read, as the end of a sentence; empty while the thread waits for one.
     """
 
@@ -64,7 +65,7 @@ class ArrivingKeypoints:
         self.session, self.frames, self.end = session, list[ArrivedFrame](), ""
         self._views, self._folders = _sources(session, folder)
         self._names = _common_names(session, self._views)
-        self._wait_s, self._late_s = wait_s, min(LATE_S, wait_s / 2)
+        self.wait_s, self._late_s = wait_s, min(LATE_S, wait_s / 2)
         self._follower = PersonFollower([view.camera for view in self._views])
         self._error: Exception | None = None
         self._changed, self._stopped = threading.Condition(), threading.Event()
@@ -85,12 +86,12 @@ class ArrivingKeypoints:
             InputError: a file is complete and has no keypoints as OpenPose writes them, or others than the session's.
         """
         with self._changed:
-            waited_until_s = time.monotonic() + self._wait_s
+            waited_until_s = time.monotonic() + self.wait_s
             while len(self.frames) <= frame and not self.end:
                 # A long wait would not let Ctrl-C through on every platform.
                 self._changed.wait(0.1)
                 if len(self.frames) <= frame and time.monotonic() > waited_until_s:
-                    self.end = f"no new file came for {self._wait_s:g} s"
+                    self.end = f"no new file came for {self.wait_s:g} s"
                     self.stop()
             if len(self.frames) <= frame and self._error is not None:
                 raise self._error
