@@ -30,7 +30,8 @@ class PoseEstimator:
 
     def text(self, view: View, frame: int) -> str:
         camera = view.camera
-        points = np.random.default_rng(0).uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 1.6], (KEYPOINTS, 3)) + [0, 0, 0.01 * frame]
+        points = np.random.default_rng(0).uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 1.6], (KEYPOINTS, 3))
+        points[:, 2] += 0.01 * frame
         (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
         matrix = np.array([[fx, camera.skew, cx], [0, fy, cy], [0, 0, 1]])
         rotation, distortion = cv2.Rodrigues(np.asarray(camera.rotation))[0], np.array(camera.distortion)
