@@ -313,3 +313,22 @@ def test_without_an_out_each_run_has_a_folder_of_its_own(cli, trial, monkeypatch
 
 def test_a_run_is_continued_by_its_own_name_only(cli, trial):
     cli("track", trial, "--resume").refuses("--resume: no --out", "name it with --out")
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--wait", 5], "--wait: 5 without --live; expected --live FOLDER"),
+        (["--port", 80], "--port: 80 without --live"),
+        (["--live", "nowhere"], "--live nowhere: no such folder; expected the folder to which the pose estimator writes"),
+        (["--live", ".", "--wait", 0], "--wait: 0; expected seconds, above 0"),
+        (["--live", ".", "--port", 70_000], "--port: 70000; expected a whole number from 0 to 65535"),
+        (["--live", ".", "--model", "arm_markers"], "its cameras have no keypoints"),
+    ],
+)
+def test_wrong_options_of_a_live_run(textured_session, cli, tmp_path, options, problem):
+    save_session(dataclasses.replace(textured_session, folder=tmp_path / "session"))
+    for name in ("a", "b"):
+        (tmp_path / f"{name}_json").mkdir()
+    options = [tmp_path if option == "." else option for option in options]
+    cli("track", tmp_path / "session", "--out", tmp_path / "run", *options).refuses(problem)

@@ -147,11 +147,13 @@ class PersonFollower:
         """
         cameras, previous_body = self._cameras, self._previous_body
         nearest_people = tuple(_nearest(camera, among, previous_body) for camera, among in zip(cameras, people, strict=True))
-        subject = _agreeing(cameras, people, nearest_people, previous_body)
+        # Triangulation takes most of the time of a frame: if the nearest people are the subject, their body is not computed again.
+        nearest_body = _body(cameras, people, nearest_people, previous_body)
+        subject = _agreeing(cameras, people, nearest_people, nearest_body)
         if subject is None:
             chosen = choose_person(cameras, people)
             subject = nearest_people if chosen is None else chosen.places
-        self._previous_body = _body(cameras, people, subject, previous_body)
+        self._previous_body = nearest_body if subject == nearest_people else _body(cameras, people, subject, previous_body)
         return subject
 
 
@@ -161,10 +163,9 @@ def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[Peopl
     return [follower.follow(people) for people in frames]
 
 
-def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, previous_body: Body | None) -> Places | None:
-    """The people who are near and agree with the body of this frame; None if too few cameras see it."""
+def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, body: Body | None) -> Places | None:
+    """The people who are near and agree with the body that they show; None if too few cameras see it."""
     if len(cameras) > 1 and _count(nearest_people) > 1:
-        body = _body(cameras, people, nearest_people, previous_body)
         rows = zip(cameras, people, nearest_people, strict=True)
         nearest_people = tuple(place if place is not None and _error(camera, body, among[place]) <= SAME else None for camera, among, place in rows)
     return nearest_people if _count(nearest_people) >= min(2, len(cameras)) else None
