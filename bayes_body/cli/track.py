@@ -115,8 +115,10 @@ def track(
     folder = out or _free_run(session, resume)
     if out is None:
         say(f"run        {folder}")
-    kept, pictures = draws_of(keep), not no_pictures
-    asked = Settings(session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, kept, pictures, live_settings)
+    draws, pictures = draws_of(keep), not no_pictures
+    asked = Settings(
+        session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws, pictures, live_settings
+    )
     with own_terms(plugin):
         definition = None
         if resume and (folder / RUN_FILE).exists():

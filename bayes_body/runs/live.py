@@ -52,17 +52,17 @@ def run_live(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
     if live is None:
         raise input_error("live", "None", "where the frames come from", "give `live`, or use `run`")
     with locked(settings.out):
-        before = stored_record(settings)
-        chosen, whole = choose(settings, before), load_session(settings.session)
+        stored_tables = stored_record(settings)
+        chosen, recording = choose(settings, stored_tables), load_session(settings.session)
         file = settings.session / FILE_NAME if settings.session.is_dir() else settings.session
-        with arriving_keypoints(whole, live.folder, live.wait_s) as arriving:
-            first = _first_place(whole, chosen)
-            with waiting(f"waiting for frame {whole.frame_number(first)}", bar):
+        with arriving_keypoints(recording, live.folder, live.wait_s) as arriving:
+            first = _first_place(recording, chosen)
+            with waiting(f"waiting for frame {recording.frame_number(first)}", bar):
                 if arriving.wait_for(first) is None:
-                    problem = f"frame {whole.frame_number(first)} did not come: {arriving.end}"
+                    problem = f"frame {recording.frame_number(first)} did not come: {arriving.end}"
                     raise input_error(f"--live {live.folder}", problem, "the first frame to track", "check the folder, or give a longer --wait")
             arriving.extend_session(file)
-            begun = begin(settings, before, chosen, load_session(settings.session), show, bar)
+            begun = begin(settings, stored_tables, chosen, load_session(settings.session), show, bar)
             delays = Delays(settings.out / DELAYS_FILE, begun.session.first_frame)
             try:
                 draws = _track(begun, arriving, first, chosen.frames or MOST_FRAMES, delays, live.port, show, bar)
@@ -79,7 +79,7 @@ def run_live(settings: Settings, show: Show, bar: bool) -> dict[str, Any]:
         return summary
 
 
-def _first_place(whole: Session, chosen: Chosen) -> int:
+def _first_place(recording: Session, chosen: Chosen) -> int:
     """Return the place of the first tracked frame in the session, which need not have it yet.
 
     Raises:
@@ -87,9 +87,9 @@ def _first_place(whole: Session, chosen: Chosen) -> int:
     """
     if chosen.first_frame is None:
         return 0
-    if chosen.first_frame < whole.first_frame:
-        raise input_error("--first-frame", str(chosen.first_frame), f"{whole.first_frame}, the session's first, or later", "give a larger number")
-    return chosen.first_frame - whole.first_frame
+    if chosen.first_frame < recording.first_frame:
+        raise input_error("--first-frame", str(chosen.first_frame), f"{recording.first_frame}, the session's first, or later", "give a larger number")
+    return chosen.first_frame - recording.first_frame
 
 
 def _note_end(begun: BegunRun, out: Path, file: Path, chosen: Chosen) -> Session:

@@ -83,8 +83,8 @@ def run(settings: Settings, show: Show, bar: bool, ahead: Ahead | None = None) -
     # The lock comes first: what another process writes after a look into the folder would not be noticed.
     with locked(settings.out):
         before = stored_record(settings)
-        chosen, whole = choose(settings, before), load_session(settings.session)
-        begun = begin(settings, before, chosen, whole, show, bar, ahead)
+        chosen, recording = choose(settings, before), load_session(settings.session)
+        begun = begin(settings, before, chosen, recording, show, bar, ahead)
         wanted, frames = chosen.frames or begun.session.frames, begun.frames
         with remark_on_stop(frames, settings.out, show):
             with progress_bar(bar and len(frames) < wanted, len(frames)) as on_frame:
@@ -108,7 +108,7 @@ class BegunRun(NamedTuple):
         record: the tables of `run.toml`.
         remarks: warnings about the run, for its summary.
         frames: the stored frames.
-        ahead: the program that is being compiled; None if it is not.
+        program: the program that is being compiled; None if it is not.
     """
 
     session: Session
@@ -122,7 +122,7 @@ class BegunRun(NamedTuple):
     record: Record
     remarks: list[str]
     frames: FrameFiles
-    ahead: Ahead | None
+    program: Ahead | None
 
     def track(
         self, wanted: int, on_frame: Callable[[Progress], None], recovery: Recovery | None = None, arriving: Generator[Observed] | None = None
@@ -130,7 +130,7 @@ class BegunRun(NamedTuple):
         """Track the frames that are not stored yet (`tracking.track`)."""
         key = jax.random.key(self.seed)
         session, model, kernel = self.session, self.model, self.kernel
-        return track(key, session, model, kernel, self.particles, self.runs, wanted, on_frame, self.frames, self.ahead, recovery, arriving)
+        return track(key, session, model, kernel, self.particles, self.runs, wanted, on_frame, self.frames, self.program, recovery, arriving)
 
     def finish(self, session: Session, draws: Draws, show: Show, bar: bool, pictures: bool, live: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Write posterior, summary and pictures (`finish`). `session` has all tracked frames."""
@@ -138,14 +138,16 @@ class BegunRun(NamedTuple):
         return finish(session, draws, results, figures, self.remarks, show, bar, pictures=pictures, live=live)
 
 
-def begin(settings: Settings, before: Record | None, chosen: Chosen, whole: Session, show: Show, bar: bool, ahead: Ahead | None = None) -> BegunRun:
+def begin(
+    settings: Settings, before: Record | None, chosen: Chosen, recording: Session, show: Show, bar: bool, ahead: Ahead | None = None
+) -> BegunRun:
     """Choose the model, find the first pose, and write `run.toml`. The folder must be locked.
 
     Args:
         settings: the settings of the run.
         before: the tables of the run that is continued; None for a new one.
         chosen: the settings with their defaults.
-        whole: the session.
+        recording: the session.
         show: receives lines for the user.
         bar: whether to show the progress on standard error.
         ahead: as in `run`.
@@ -153,7 +155,7 @@ def begin(settings: Settings, before: Record | None, chosen: Chosen, whole: Sess
     Raises:
         InputError: as in `run`.
     """
-    session = frames_from(whole, chosen.first_frame, show)
+    session = frames_from(recording, chosen.first_frame, show)
     if chosen.init == AUTO:
         session = unposed(session)
     name = chosen.model or _chosen_model(session, show)
@@ -181,7 +183,7 @@ def begin(settings: Settings, before: Record | None, chosen: Chosen, whole: Sess
     true_markers(session)
     keep = draws_to_keep(chosen.keep, options.model_dump(), show)
     described = {"runs": chosen.runs, "seed": chosen.seed, "frames": chosen.frames, "init": chosen.init, "recover": recover, "keep": keep}
-    described |= {"first_frame": number_of_first(session, whole), "live": chosen.live or None}
+    described |= {"first_frame": number_of_first(session, recording), "live": chosen.live or None}
     record = describe(settings.session, name, definition, kind, options.model_dump(), described, input_digests(session))
     if before:
         refuse_changes(settings.out, before, record)

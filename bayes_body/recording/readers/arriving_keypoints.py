@@ -42,12 +42,12 @@ class ArrivedFrame(NamedTuple):
 
     Attributes:
         rows: of each camera that has keypoints, as an imported session stores them; NaN where not found.
-        seen: whether each of these cameras had its file.
+        visibility: whether each of these cameras had its file.
         appeared_s: when the last camera's file was first seen, on the clock `time.monotonic`.
     """
 
     rows: Float[np.ndarray, "camera keypoint 3"]
-    seen: tuple[bool, ...]
+    visibility: tuple[bool, ...]
     appeared_s: float
 
 
@@ -100,7 +100,7 @@ class ArrivingKeypoints:
     def keypoints(self, frame: int) -> tuple[Keypoints | None, ...]:
         """The keypoints of a frame that has been read, for each camera of the session; None for a camera that did not see it."""
         arrived, points = self.frames[frame], dict[str, Keypoints]()
-        for view, row, was_seen in zip(self._views, arrived.rows, arrived.seen, strict=True):
+        for view, row, was_seen in zip(self._views, arrived.rows, arrived.visibility, strict=True):
             if was_seen:
                 # The numbers that the file of keypoints gives back.
                 stored = row.astype(np.float32).astype(np.float64)
@@ -109,7 +109,7 @@ class ArrivingKeypoints:
 
     def missing(self, frames: range) -> dict[str, int]:
         """How many of some frames lack a camera's file, for the cameras that lack any."""
-        counts = {view.camera.name: sum(not self.frames[k].seen[c] for k in frames) for c, view in enumerate(self._views)}
+        counts = {view.camera.name: sum(not self.frames[k].visibility[c] for k in frames) for c, view in enumerate(self._views)}
         return {name: count for name, count in counts.items() if count}
 
     def extend_session(self, file: Path) -> None:

@@ -47,7 +47,7 @@ def test_frames_that_come_are_those_of_an_import(estimator, tmp_path):
     file.write_text(file.read_text().replace("frames = 1", "frames = 1  # so far"))
     reader.extend_session(file)
     imported, extended = estimator.imported(tmp_path / "imported", 5), load_session(file)
-    assert [entry.seen for entry in arrived] == [(True, True)] * 5
+    assert [entry.visibility for entry in arrived] == [(True, True)] * 5
     for view, same in zip(imported.views, extended.views, strict=True):
         written, expected = (np.load(path) for path in (extended.keypoints_path(same), imported.keypoints_path(view)))
         assert {name: values.tobytes() for name, values in written.items()} == {name: values.tobytes() for name, values in expected.items()}
@@ -72,7 +72,7 @@ def test_a_camera_that_has_gone_on_is_not_waited_for(estimator):
     for view in (first, second):
         estimator.path(view, 3).unlink()
     arrived, keypoints, reader = read(estimator, 5)
-    assert [entry.seen for entry in arrived] == [(True, True), (True, True), (False, True), (False, False), (True, True)]
+    assert [entry.visibility for entry in arrived] == [(True, True), (True, True), (False, True), (False, False), (True, True)]
     assert keypoints[2][0] is None and keypoints[3] == (None, None) and reader.missing(range(5)) == {"a": 2, "b": 1}
 
 
@@ -86,7 +86,7 @@ def test_a_camera_that_stops_is_waited_for_once(estimator, monkeypatch):
     path = estimator.path(estimator.session.views[0], 4)
     path.write_text(path.read_text()[:50])
     arrived, _, _ = read(estimator, 5)
-    assert [entry.seen for entry in arrived] == [(True, True), (True, False), (True, False), (True, False), (False, False)]
+    assert [entry.visibility for entry in arrived] == [(True, True), (True, False), (True, False), (True, False), (False, False)]
 
 
 def test_the_recording_ends_when_no_file_comes(estimator):
