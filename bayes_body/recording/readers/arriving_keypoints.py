@@ -31,7 +31,7 @@ from bayes_body.recording.session.read import extend_session_file
 from bayes_body.recording.session.session import Keypoints, Session, View
 
 # Seconds between two looks for the next file.
-POLL_S = 0.002
+POLL_S = 0.004
 # Seconds that a frame waits for a camera after another one has it.
 LATE_S = 1.0
 STOPPED = "it was stopped"
