@@ -21,7 +21,7 @@ def smooth(
         None,
         "--start",
         help="How paths go back before they move: `ensemble` (the default), `gaussian` (the default for runs of the kernel laplace), or `particles`, "
-        "which is exact for small models only.",
+        "which is exact for small models only; or `joint`: from one Gaussian of all frames at once, without moves.",
     ),
     seed: int | None = typer.Option(None, "--seed", help="Seed of everything random, 0 by default."),
     resume: bool = typer.Option(False, "--resume", help="Continue the smoothed run in --out."),
@@ -41,8 +41,8 @@ def smooth(
     check_range("--draws", draws, 1)
     check_range("--moves", moves, 0)
     check_range("--seed", seed, 0, LARGEST_SEED)
-    if start not in (None, "ensemble", "gaussian", "particles"):
-        raise input_error("--start", f"'{start}'", "ensemble, gaussian or particles", "give one of them")
+    if start not in (None, "ensemble", "gaussian", "particles", "joint"):
+        raise input_error("--start", f"'{start}'", "ensemble, gaussian, particles or joint", "give one of them")
     if resume and out is None:
         raise input_error("--resume", "no --out", "the folder of the smoothed run to continue", "name it with --out")
     resolved = run.resolve()

@@ -45,6 +45,11 @@ class FilterInfo(NamedTuple):
             `steps`: number of steps of the searches for modes.
             `modes`: number of distinct modes that compete.
             `pareto_k`: tail shape of the weights of the last attempt by importance sampling; NaN if they are nearly equal.
+        joint: figures of paths that are drawn from one Gaussian of all frames (kernels/paths/joint/path.py). Empty from other ways.
+            `steps`: number of steps of the search.
+            `converged`: whether the search ended before its largest number of steps.
+            `pareto_k`: tail shape of the weights of the window about the frame; -∞ if they are nearly equal, NaN with too few draws.
+            `near_limit` (dof,): whether the mean of a dof is within two standard deviations of its limit.
     """
 
     ancestors: Array
@@ -58,6 +63,7 @@ class FilterInfo(NamedTuple):
     markov: Mapping[str, Array] = {}  # never written to
     messages: Mapping[str, Array] = {}  # never written to
     modes: Mapping[str, Array] = {}  # never written to
+    joint: Mapping[str, Array] = {}  # never written to
 
 
 class Kernel(Protocol):

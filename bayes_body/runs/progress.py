@@ -44,6 +44,19 @@ def smoothing_bar(visible: bool = True, done: int = 0) -> Iterator[Callable[[Smo
 
 
 @contextmanager
+def doing_line(work: str, visible: bool = True) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows what is being done, for work whose steps cannot be counted before: a line that changes, or lines of a log."""
+    if not visible:
+        yield lambda doing: None
+    elif draws_bars():
+        with Console(stderr=True).status(work) as status:
+            yield lambda doing: status.update(f"{work}: {doing}")
+    else:
+        with ProgressLog(work) as log:
+            yield log.begin
+
+
+@contextmanager
 def _frames_bar(what: str, visible: bool, done: int) -> Iterator[ShowFrame]:
     """Yield a function of a frame's progress, its figures, and what is wrong."""
     if not visible:

@@ -49,8 +49,8 @@ def check_size(model: Model, options: Mapping[str, Any], runs: int) -> None:
     needed, available = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), memory_bytes()
     if available is not None and needed > available:
         many = f"{options['particles']} particles" + (f" in each of {runs} runs" if runs > 1 else "")
-        problem = f"at least {_gigabytes(needed)} of memory for {many}"
-        raise input_error("--particles, --runs", problem, f"at most the {_gigabytes(available)} that there are", "give fewer particles or runs")
+        problem = f"at least {gigabytes(needed)} of memory for {many}"
+        raise input_error("--particles, --runs", problem, f"at most the {gigabytes(available)} that there are", "give fewer particles or runs")
     if runs > MOST:
         raise input_error("--runs", str(runs), f"at most {MOST}", "give a smaller number")
 
@@ -73,7 +73,8 @@ def memory_bytes() -> int | None:
     return min(limits, default=None)
 
 
-def _gigabytes(count: int) -> str:
+def gigabytes(count: int) -> str:
+    """Return a size as text, 10⁹ bytes."""
     return f"{count / 1e9:,.1f} GB"
 
 

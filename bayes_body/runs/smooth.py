@@ -1,6 +1,7 @@
 """Smooth a run on disk: paths through all its frames, as a run of its own that reports, exports and diagnostics read like any other.
 
-The frames are computed and stored from the last to the first. If it stops, a later call continues it to the same result.
+The frames are computed and stored from the last to the first. If it stops, a later call continues it to the same result. The joint posterior of all
+frames is computed at once, and only stored in this order.
 """
 
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ import jax
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.lock import locked
 from bayes_body.initial import Show
-from bayes_body.kernels.paths.smoother import Options, Smoother, options_for
+from bayes_body.kernels.paths.smoother import JointOptions, Options, Smoother, paths_options
 from bayes_body.results.posterior.diagnostics import frame_ranges
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.names import FRAMES_FOLDER, RUN_FILE
@@ -22,6 +23,7 @@ from bayes_body.results.storage.run_changes import refuse_changes
 from bayes_body.results.storage.run_file import computing_here, read_run_file, write_run_file
 from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
+from bayes_body.runs.joint import check_joint, joint_paths
 from bayes_body.runs.progress import smoothing_bar
 from bayes_body.runs.settings import Record, refuse_occupied
 from bayes_body.tracking.draws import Draws, timing_of
@@ -75,27 +77,33 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     before = _continued(settings)
     smoothing = (before or {}).get("smoothing", {})
     stored = {name: smoothing[name] for name in Options.model_fields if name in smoothing}
-    options = Options.model_validate(options_for(str(source.kernel["kind"]), {**stored, **settings.options}))
+    options = paths_options(str(source.kernel["kind"]), settings.options, stored)
+    joint = isinstance(options, JointOptions)
     seed = smoothing.get("seed", 0) if settings.seed is None else settings.seed
     model, session = source.model, source.session
-    if (options.moves or model.reads_before) and source.changed_inputs:
+    if (joint or options.moves or model.reads_before) and source.changed_inputs:
         problem = f"{', '.join(sorted(source.changed_inputs))}: changed or gone since the run was made"
-        alternative = "" if model.reads_before else ", or give --moves 0, which reads no images"
+        alternative = "" if model.reads_before else ", or give --moves 0 without --start joint, which reads no images"
         raise input_error(source.folder, problem, "the recording of the run", f"put it back{alternative}")
     filtered = FrameFiles(source.folder / FRAMES_FOLDER, source.id)
     if len(filtered) < source.frames:
         raise input_error(filtered.folder, f"{len(filtered)} frames", f"the {source.frames} frames of the run", _again(source))
-    if source.kept:
+    if joint:
+        check_joint(session, model, source.frames, int(source.settings["runs"]), options.draws, source.summary.get("frames_restarted") or [])
+    elif source.kept:
         show(_of_few(source, options))
     record = _record(source, filtered, options, seed)
     if before:
         refuse_changes(settings.out, before, record)
     frames = _begin(settings.out, before, record, show)
-    for note in _notes(source):
+    for note in _notes(source, joint):
         show(note)
     with remark_on_stop(frames, settings.out, show):
-        with smoothing_bar(bar and len(frames) < len(filtered), len(frames)) as on_frame:
-            paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
+        if isinstance(options, JointOptions):
+            paths = joint_paths(session, model, options, filtered, jax.random.key(seed), frames, bar)
+        else:
+            with smoothing_bar(bar and len(frames) < len(filtered), len(frames)) as on_frame:
+                paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
         draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame, declared_sample=True)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
         return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True, pictures=settings.pictures)
@@ -138,7 +146,7 @@ def _continued(settings: SmoothSettings) -> Record | None:
     return None
 
 
-def _record(source: SavedRun, filtered: FrameFiles, options: Options, seed: int) -> Record:
+def _record(source: SavedRun, filtered: FrameFiles, options: Options | JointOptions, seed: int) -> Record:
     """Return the tables of `run.toml`: those of the filter's run, and how it was smoothed."""
     record = {name: table for name, table in read_run_file(source.folder).items() if name != "check"}
     origin = {"folder": str(source.folder.resolve()), "run": source.id, "last": filtered.last_digest, "frames": len(filtered)}
@@ -156,8 +164,8 @@ def _begin(out: Path, before: Record | None, record: Record, show: Show) -> Fram
     return frames
 
 
-def _notes(source: SavedRun) -> list[str]:
-    """Return what a user should know about this smoothing."""
+def _notes(source: SavedRun, joint: bool) -> list[str]:
+    """Return what a user should know about this smoothing; `joint`: all frames are one Gaussian, and lost ones count with their images."""
     notes = []
     if source.model.transition.frames_read is None:
         notes.append(
@@ -165,7 +173,7 @@ def _notes(source: SavedRun) -> list[str]:
             "and early frames have few distinct ones."
         )
     lost, restarted = source.summary.get("frames_lost"), source.summary.get("frames_restarted")
-    if lost:
+    if lost and not joint:
         notes.append(f"note: {lost} frames were lost. There the paths follow from the frames around them, not from the images.")
     if restarted:
         notes.append(

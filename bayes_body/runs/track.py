@@ -15,16 +15,18 @@ from bayes_body.base.progress import waiting, watched
 from bayes_body.base.registry import names
 from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
-from bayes_body.kernels.paths.smoother import build_smoother, options_for
+from bayes_body.kernels.paths.smoother import JointOptions, Smoother, paths_options
 from bayes_body.model.build import Model
 from bayes_body.model.kernel_options import kernel_sentences
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
-from bayes_body.results.posterior.diagnostics import diagnose, sentences
+from bayes_body.results.posterior.diagnostics import Thresholds, diagnose, sentences
+from bayes_body.results.posterior.joint_sentences import joint_sentences
 from bayes_body.results.posterior.stream import tree_on_demand
 from bayes_body.runs.finish import pair_remarks
+from bayes_body.runs.joint import check_joint, joint_paths
 from bayes_body.runs.progress import progress_bar, smoothing_bar
 from bayes_body.tracking import smooth as smoothing
 from bayes_body.tracking import track as tracking
@@ -96,19 +98,37 @@ def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[Smoo
         filtered: what `track` returned for it.
         on_frame: called after each frame, the last one first; by default a terminal shows a progress bar.
         options: those of `kernels.paths.smoother.Options`: draws, start, moves, leapfrog_steps, candidates. Runs of the kernel `laplace` have
-            `start="gaussian"` and `moves=0` by default.
+            `start="gaussian"` and `moves=0` by default. With `start="joint"`, which has `draws` only, all paths are drawn from one Gaussian of all
+            frames at once. Then `on_frame` is not called, and what makes the Gaussian doubtful is in `warnings` and shown as `RunWarning`.
 
     Returns:
         one path a draw, of equal weight, with its frames in the order of time.
 
     Raises:
-        InputError: the kernel that filtered seeks modes, an option does not exist or is outside its range, or a frame cannot be read.
+        InputError: the kernel that filtered seeks modes, an option does not exist or is outside its range, or a frame cannot be read; with
+            `start="joint"` also: a run started anew, the model has no such Gaussian, or the memory is too small.
     """
     if not filtered.samples_posterior:
         raise input_error("smooth: the draws", "their kernel seeks modes", "a sample of the posterior", "track with another kernel, such as tempered")
+    chosen = paths_options(filtered.kernel, options)
+    if isinstance(chosen, JointOptions):
+        return _joint(key, session, filtered, chosen)
     with smoothing_bar() if sys.stderr.isatty() and on_frame is None else nullcontext(on_frame) as show:
-        paths = smoothing.smooth(session, filtered.model, build_smoother(**options_for(filtered.kernel, options)), filtered.frames, key, [], show)
+        paths = smoothing.smooth(session, filtered.model, Smoother(chosen), filtered.frames, key, [], show)
     return replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
+
+
+def _joint(key: Key, session: Session, filtered: Draws, options: JointOptions) -> Draws:
+    """Return paths from one Gaussian of all frames, and warn of what makes it doubtful."""
+    restarted = [session.frame_number(index) for index in filtered.frames_restarted]
+    check_joint(session, filtered.model, len(filtered.frames), filtered.runs, options.draws, restarted)
+    paths = joint_paths(session, filtered.model, options, filtered.frames, key, [], sys.stderr.isatty())
+    draws = replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
+    diagnosis = diagnose(tree_on_demand(draws))
+    draws = replace(draws, warnings=tuple(joint_sentences(diagnosis, Thresholds())))
+    for sentence in draws.warnings:
+        warnings.warn(sentence, RunWarning, stacklevel=3)
+    return draws
 
 
 def _kernel_warning(draws: Draws) -> list[str]:

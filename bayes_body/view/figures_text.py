@@ -28,7 +28,7 @@ def figures_text(summary: Mapping[str, Any]) -> str:
         f"agreement   {fitted}R-hat over runs at most {shown('rhat_max', '.2f')}; "
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
-    return "\n".join([*lines, *_redone(summary), *_accuracy(summary)])
+    return "\n".join([*lines, *_redone(summary), *_joint(summary), *_accuracy(summary)])
 
 
 def warning_line(sentence: str) -> str:
@@ -42,6 +42,16 @@ def _redone(summary: Mapping[str, Any]) -> list[str]:
         return []
     starts, tempered = (100 * summary[f"redone_{how}_share"] for how in ("starts", "tempered"))
     return [f"done again  {starts:.1f} % of the frames from more starts, {tempered:.1f} % by the kernel tempered"]
+
+
+def _joint(summary: Mapping[str, Any]) -> list[str]:
+    """Return the line about the Gaussian of all frames; draws that come another way have none."""
+    if summary.get("joint_steps_max") is None:
+        return []
+    ended = "converged" if summary["joint_converged_share"] == 1 else "not converged"
+    share = summary["joint_pareto_k_share"]
+    windows = "Pareto k unknown" if share is None else f"Pareto k at most 0.7 in windows about {100 * share:.0f} % of the frames"
+    return [f"joint       {ended} after {summary['joint_steps_max']:.0f} Newton steps; {windows}"]
 
 
 def _accuracy(summary: Mapping[str, Any]) -> list[str]:

@@ -34,6 +34,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
+from bayes_body.base.errors import input_error
 from bayes_body.base.inverse_cdf import inverse_cdf
 from bayes_body.base.registry import find, names
 from bayes_body.base.shapes import Index, Key, Scalar
@@ -62,6 +63,38 @@ class Options(Schema):
     moves: Annotated[int, Field(strict=True, ge=0)] = 1
     leapfrog_steps: Count = 3
     candidates: Annotated[int, Field(strict=True, ge=2)] = 32
+
+
+class JointOptions(Schema):
+    """Options of paths that are drawn from one Gaussian of all frames (kernels/paths/joint/path.py): `draws` is the number of paths of a run.
+
+    They neither go back frame by frame nor move.
+    """
+
+    draws: Count = 250
+    start: Literal["joint"] = "joint"
+
+
+def paths_options(kernel: str, given: Mapping[str, Any], stored: Mapping[str, Any] | None = None) -> Options | JointOptions:
+    """Return the options of the paths of a kernel's run.
+
+    Args:
+        kernel: the kernel's name.
+        given: options by name.
+        stored: those of a run that is continued, where they are not given.
+
+    Raises:
+        InputError: an option does not exist, is outside its range, or does not go with `start = "joint"`.
+    """
+    stored = stored or {}
+    if given.get("start", stored.get("start")) != "joint":
+        return validate(Options, options_for(kernel, {**stored, **given}), "the smoother")
+    moving = sorted({"moves", "leapfrog_steps", "candidates"} & {name for name, value in given.items() if value != 0})
+    if moving:
+        problem = f"given with the start 'joint', whose paths do not {'compete' if moving == ['candidates'] else 'move'}"
+        raise input_error(f"--{moving[0]}", problem, "no such option", "leave it out, or choose another start")
+    draws = {name: value for name, value in {**stored, **given}.items() if name in ("draws", "start")}
+    return validate(JointOptions, draws, "the smoother")
 
 
 def options_for(kernel: str, given: Mapping[str, Any]) -> dict[str, Any]:

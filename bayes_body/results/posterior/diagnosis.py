@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bayes_body.results.posterior.joint import JointFit
 from bayes_body.results.posterior.message_passing import MessagePassing
 from bayes_body.results.posterior.mixing import Mixing
 
@@ -44,6 +45,7 @@ class Thresholds:
         message_change: largest change of a belief's mean in the last iteration, standard deviations of the belief.
         oscillation: largest jump back of a belief's mean in the last iteration, likewise.
         joint_ess: smallest number of effective joint draws of message passing.
+        near_limit_share: largest share of frames in which a dof of the Gaussian of all frames is near its limit.
     """
 
     markov_rhat: float = 1.1
@@ -63,6 +65,7 @@ class Thresholds:
     message_change: float = 0.5
     oscillation: float = 1.0
     joint_ess: float = 10.0
+    near_limit_share: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ class Diagnosis:
         first_frame: number of the first frame in the recording.
         declared_sample: whether the kernel declares that its particles are a sample of the posterior; None if it does not say.
         attempts: how the kernel `laplace` did a frame at last: 0 at first, 1 again from more starts, 2 by the kernel `tempered`; None for others.
+        joint: figures of the Gaussian of all frames from which the paths are drawn; None if they are not.
     """
 
     kernel: str
@@ -112,6 +116,7 @@ class Diagnosis:
     first_frame: int = 0
     declared_sample: bool | None = None
     attempts: Int[np.ndarray, "run frame"] | None = None
+    joint: JointFit | None = None
 
     @property
     def redone(self) -> tuple[float, float]:

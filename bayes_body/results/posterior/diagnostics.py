@@ -10,6 +10,7 @@ from bayes_body.results.posterior.agreement import independent_draws, rhat_of_bl
 from bayes_body.results.posterior.blocks import BLOCK, coordinate_blocks, stored_spaces, weights_of_runs
 from bayes_body.results.posterior.diagnosis import LAGS, MODES, Diagnosis, Thresholds, declared_sample, first_frame_of
 from bayes_body.results.posterior.genealogy import unique_ancestors
+from bayes_body.results.posterior.joint import joint_of, worst_of_joint
 from bayes_body.results.posterior.message_passing import message_passing_of, worst_of_messages
 from bayes_body.results.posterior.mixing import mixing_of, thinned_figure
 from bayes_body.results.posterior.pareto import pareto_shape
@@ -64,6 +65,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         first_frame=first_frame_of(tree),
         declared_sample=declared_sample(tree),
         attempts=_attempts(tree),
+        joint=joint_of(tree),
     )
 
 
@@ -116,6 +118,8 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
     }
     if diagnosis.attempts is not None:
         figures |= dict(zip(("redone_starts_share", "redone_tempered_share"), diagnosis.redone, strict=True))
+    if diagnosis.joint is not None:
+        figures |= worst_of_joint(diagnosis.joint, thresholds.pareto_k)
     if diagnosis.mixing is not None:
         figures |= {"markov_rhat_max": _extreme(np.max, diagnosis.mixing.rhat), "divergences": float(diagnosis.mixing.divergences.sum())}
     if diagnosis.messages is not None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
 from bayes_body.results.posterior.blocks import SPACE
 from bayes_body.results.posterior.diagnosis import MODES, SAMPLES_POSTERIOR
+from bayes_body.results.posterior.joint import JOINT
 from bayes_body.results.posterior.message_passing import DIMS, NODE, PARTS
 from bayes_body.results.posterior.mixing import PREFIX
 from bayes_body.results.posterior.thinning import INDEPENDENT, MARKOV_RHAT, MEAN, OF_ALL, RHAT
@@ -79,6 +80,10 @@ def variables(draws: Draws) -> list[Variable]:
             if name in messages
         ),
         *(Variable("filter", MODES + name, by_frame, _modes(name)) for name in draws.frames[0].info.modes),
+        *(
+            Variable("filter", JOINT + name, (*by_frame, *(_entry_dims(draws, spaces) if np.ndim(values) > 1 else ())), _joint(name))
+            for name, values in draws.frames[0].info.joint.items()
+        ),
         Variable("filter", "seen", ("frame", "camera"), lambda frame: frame.seen),
         *(Variable("filter", OF_ALL + name, _figure_dims(name, spaces), _figure(name)) for name in draws.frames[0].figures),
     ]
@@ -94,6 +99,7 @@ def place_in_tree(name: str) -> str:
         "markov": f"filter/{PREFIX}{key}",
         "messages": f"filter/{key}" if key in DIMS else "",
         "modes": f"filter/{MODES}{key}",
+        "joint": f"filter/{JOINT}{key}",
         "figures": f"filter/{OF_ALL}{key}",
         "seen": "filter/seen",
     }
@@ -164,6 +170,16 @@ def _markov(name: str) -> Callable[[FrameResult], Any]:
 
 def _message(name: str) -> Callable[[FrameResult], Any]:
     return lambda frame: frame.info.messages[name]
+
+
+def _entry_dims(draws: Draws, spaces: Mapping[str, Space]) -> tuple[str, ...]:
+    """Return the dimensions of the variable that places the body."""
+    variable = draws.model.body.variable
+    return space_dims(variable, spaces[variable])
+
+
+def _joint(name: str) -> Callable[[FrameResult], Any]:
+    return lambda frame: frame.info.joint[name]
 
 
 def _modes(name: str) -> Callable[[FrameResult], Any]:

@@ -7,6 +7,7 @@ import numpy as np
 from bayes_body.base.errors import InputError
 from bayes_body.base.registry import find
 from bayes_body.results.posterior.diagnosis import Diagnosis, Thresholds
+from bayes_body.results.posterior.joint_sentences import joint_sentences
 from bayes_body.results.posterior.mixing_sentences import at_worst, frame_ranges, frames_where, largest, message_sentences, mixing_sentences
 
 __all__ = ["frame_ranges", "sentences"]
@@ -20,7 +21,7 @@ def sentences(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -> li
         thresholds: the limits.
     """
     lines = [_mode_seeker(diagnosis), _lost(diagnosis), _unseen(diagnosis), _rhat(diagnosis, thresholds), *mixing_sentences(diagnosis, thresholds)]
-    lines += message_sentences(diagnosis, thresholds)
+    lines += [*message_sentences(diagnosis, thresholds), *joint_sentences(diagnosis, thresholds)]
     if not diagnosis.mode_seeker:
         # A mode seeker chooses its powers for a fixed effective sample size: its weights are not importance weights.
         lines += [_ess(diagnosis, thresholds), _pareto_k(diagnosis, thresholds), _evidence(diagnosis, thresholds)]
@@ -43,7 +44,8 @@ def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
         option_names, instead = {"particles"}, ""
     raised = " or ".join(f"--{name}" for name in wanted if name in option_names)
     if diagnosis.smoothed:
-        return f"{'smooth with more --moves, or ' if moves_help else ''}smooth a run with more {raised}"
+        has_moves = moves_help and diagnosis.joint is None
+        return f"{'smooth with more --moves, or ' if has_moves else ''}smooth a run with more {raised}"
     return f"raise {raised}, or {instead}" if instead else f"raise {raised}"
 
 

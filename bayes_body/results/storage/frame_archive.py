@@ -4,7 +4,8 @@
 bit-identical to the frame in a file of its own; its digest verifies this. Frames of a smoothed run are stored from the last to the first.
 
 A frame's arrays have no Python objects. Their names are `states.NAME`, `log_weights`, `info.FIELD`, `markov.NAME`, `messages.NAME`, `modes.NAME`,
-`figures.NAME`, `seen`, `seconds`, `seconds_ready`, `restarted`; and the frame's place: `run`, `number` and `before`. The digest is of all of them.
+`joint.NAME`, `figures.NAME`, `seen`, `seconds`, `seconds_ready`, `restarted`; and the frame's place: `run`, `number` and `before`. The digest is of
+all of them.
 """
 
 import hashlib
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     import h5py
 
 # Fields of a kernel's diagnostics that are mappings.
-MAPPINGS = ("markov", "messages", "modes")
+MAPPINGS = ("markov", "messages", "modes", "joint")
 
 
 class Place(NamedTuple):

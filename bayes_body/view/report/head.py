@@ -49,6 +49,9 @@ QUALITY = (
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
     ("redone_starts_share", "frames done again from more starting points", "{:.1%}"),
     ("redone_tempered_share", "frames done again by tempered", "{:.1%}"),
+    ("joint_steps_max", "Newton steps to the Gaussian of all frames, at most", "{:.0f}"),
+    ("joint_pareto_k_share", "windows that the Gaussian fits (Pareto k at most 0.7)", "{:.0%}"),
+    ("joint_near_limit_max", "frames in which a dof is near its limit, at most", "{:.0%}"),
     ("seconds_per_frame", "time per frame, all runs", "{:.3g} s"),
     ("seconds_compile", "compilation", "{:.1f} s"),
     ("evaluations_per_second", "evaluations of the likelihood", "{:,.0f} per second"),
@@ -60,7 +63,8 @@ def subtitle(run: "SavedRun") -> str:
     """Return the model, the kernel, for a smoothed run how it was smoothed, and the definition's title."""
     how = f"kernel {run.kernel['kind']}"
     if run.smoothed:
-        how = f"{how}, smoothed: {run.smoothing['draws']:,} paths of each run, given all images"
+        law = " from one Gaussian of all frames" if run.smoothing.get("start") == "joint" else ""
+        how = f"{how}, smoothed: {run.smoothing['draws']:,} paths of each run{law}, given all images"
     return f"Model {run.settings['model']}, {how}; {run.texts.get('title', 'no title')}."
 
 
@@ -160,7 +164,7 @@ def findings(warnings: Sequence[str]) -> Markup:
 LONGEST = 200_000
 AGAIN, AGAIN_SMOOTH = "This command repeats the run.", "This command smooths the same run of the filter again."
 IDENTICAL = "With the same versions on the same kind of processor, the result is identical to the last bit."
-SMOOTHER_OPTIONS = ("draws", "moves", "seed")
+SMOOTHER_OPTIONS = ("draws", "start", "moves", "seed")
 KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
 
@@ -169,7 +173,7 @@ def command(run: "SavedRun") -> str:
     new_folder = f"{run.folder.resolve()}_again"
     if run.smoothed:
         words = ["bayes-body", "smooth", str(run.smoothing["folder"]), "--out", new_folder]
-        return _with_options(words, {name: run.smoothing[name] for name in SMOOTHER_OPTIONS})
+        return _with_options(words, {name: run.smoothing[name] for name in SMOOTHER_OPTIONS if name in run.smoothing})
     settings = run.settings
     options = {"model": settings["model"], "kernel": run.kernel["kind"]}
     options |= {name: run.kernel[name] for name in KERNEL_OPTIONS if name in run.kernel}

@@ -17,6 +17,7 @@ from bayes_body.view.report.filtering import filter_section
 from bayes_body.view.report.gait import gait_section, has_gait
 from bayes_body.view.report.head import findings, key_figures, provenance_section, scales, subtitle, verdict
 from bayes_body.view.report.inspection import Inspection
+from bayes_body.view.report.joint import TITLE, joint_section
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.report.message_passing import message_section
 from bayes_body.view.report.pairs import pair_section
@@ -43,6 +44,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("angles", "Angles and positions", band_section),
     ("pairs", "Dependence of the angles", pair_section),
     ("filter", "Filter", filter_section),
+    ("joint", TITLE, joint_section),
     ("chains", "Markov chains", chain_section),
     ("messages", "Message passing", message_section),
     ("runs", "Agreement of the runs", run_section),
@@ -82,12 +84,13 @@ def page(run: "SavedRun", watch: Watch = unwatched) -> str:
 
 
 def sections_of(inspection: Inspection) -> Sequence[tuple[str, str, Callable[[Inspection], Markup]]]:
-    """Return SECTIONS, without those about which the run says nothing: the truth, clinical angles, gait, the filter, Markov chains, messages."""
+    """Return SECTIONS, without those about which the run says nothing, such as the truth, gait, or Markov chains."""
     missing = {
         "truth": not inspection.has_truth,
         "clinical": not inspection.clinical.names,
         "gait": not has_gait(inspection),
         "filter": inspection.run.smoothed,
+        "joint": inspection.diagnosis.joint is None,
         "chains": inspection.diagnosis.mixing is None,
         "messages": inspection.diagnosis.messages is None,
     }

@@ -25,7 +25,7 @@ the Gaussian is good enough for these frames. It sees outliers and bent likeliho
 over many.
 """
 
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -34,10 +34,10 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Key, Scalar
-from bayes_body.density.factor import State, Transition, nothing_carried
+from bayes_body.density.factor import Factor, State, Transition, nothing_carried
 from bayes_body.density.frames import Frames
 from bayes_body.density.gaussian_view import joined, split
-from bayes_body.kernels.batching import one_device, over_particles
+from bayes_body.kernels.batching import everywhere, one_device, over_particles
 from bayes_body.kernels.paths.joint.elimination import eliminated, marginal_covariances, solve_back
 from bayes_body.kernels.paths.joint.limits import Sites, limits, updated
 from bayes_body.kernels.paths.joint.terms import Terms, base_of, terms_near
@@ -92,6 +92,11 @@ class JointPath(NamedTuple):
     steps: Int[Array, ""]
     promise: Scalar
 
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended before its largest number of steps."""
+        return float(self.promise) <= TOLERANCE
+
     def covariances(self) -> Float[Array, "frame entry entry"]:
         """Return the marginal covariance of each frame."""
         return marginal_covariances(self.roots, self.couplings)
@@ -120,7 +125,25 @@ class _Search(NamedTuple):
     promise: Scalar
 
 
-def solve_path(frames: Frames, unlimited: Transition, first: FirstFrame, start: State, most_steps: int = MOST_STEPS) -> JointPath:
+class _Fixed(NamedTuple):
+    """What a search does not change: the arguments of `solve_path`, the state of a frame for its shapes, and the limits of its entries."""
+
+    frames: Frames
+    unlimited: Transition
+    first: FirstFrame
+    form: State
+    low: Array
+    high: Array
+
+
+def solve_path(
+    frames: Frames,
+    unlimited: Transition,
+    first: FirstFrame,
+    start: State,
+    most_steps: int = MOST_STEPS,
+    on_step: Callable[[int, float], None] | None = None,
+) -> JointPath:
     """Return the Gaussian approximation of the joint posterior of all frames.
 
     Args:
@@ -129,51 +152,66 @@ def solve_path(frames: Frames, unlimited: Transition, first: FirstFrame, start: 
         first: the prior of the first frame.
         start: sampled variables (frame, ...), from which the search starts, such as a filter's means. Angles are on neighbouring turns.
         most_steps: largest number of steps.
+        on_step: called after each step with its number and with what the next one promises, nats.
 
     Raises:
-        InputError: a factor reads the previous frame; the motion prior carries more than the sampled variables of a frame, has coordinates of its
-            own, or a distribution without a centre `loc`.
+        InputError: there is no such Gaussian (`check_path`).
     """
-    _check(frames, unlimited, start)
+    form = jax.tree.map(lambda leaf: leaf[0], dict(start))
+    check_path(frames.transition, frames.factors, unlimited, form)
     with one_device():
-        return _solved(frames, unlimited, first, dict(start), most_steps)
+        low, high = limits(frames.transition, form)
+        fixed = _Fixed(frames, unlimited, first, form, low, high)
+        search = _begun(fixed, jax.vmap(joined)(dict(start)))
+        while (search.steps < most_steps) & ((search.promise > TOLERANCE) | (search.steps < 1)):
+            search = _stepped(fixed, search)
+            if on_step is not None:
+                on_step(int(search.steps), float(search.promise))
+        return _ended(fixed, search)
 
 
-@partial(jax.jit, static_argnames="most_steps")
-def _solved(frames: Frames, unlimited: Transition, first: FirstFrame, start: dict[str, Array], most_steps: int) -> JointPath:
-    form = jax.tree.map(lambda leaf: leaf[0], start)
-    path, dtype = jax.vmap(joined)(start), first.mean.dtype
-    low, high = limits(frames.transition, form)
-    terms_at = partial(terms_near, frames, unlimited, form)
-    no_sites = Sites(jnp.zeros_like(path), jnp.zeros_like(path))
+def _begun(fixed: _Fixed, path: Array) -> _Search:
+    """Return the search before its first step, which knows no terms yet."""
+    no_terms = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(_terms, fixed, path))
+    no_sites, none = Sites(jnp.zeros_like(path), jnp.zeros_like(path)), jnp.zeros((), path.dtype)
+    begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, none, jnp.full((), -1, jnp.int32), jnp.full_like(none, jnp.inf))
+    # Placed as the program's results are: it is compiled once.
+    return everywhere(begun)
 
-    def step(search: _Search) -> _Search:
-        next_terms = terms_at(search.path + search.move)
-        gain = _gain(search, next_terms, first)
-        # False for NaN, too.
-        is_better = (gain >= -ROUNDING) | (search.steps < 0)
-        taken = (search.path + search.move, next_terms, search.next_sites)
-        path, terms, sites = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), taken, search[:3])
-        eased = jnp.where(search.damping > NONE, EASED * search.damping, 0.0)
-        damping = jnp.where(is_better, eased, jnp.maximum(RAISED * search.damping, LEAST))
-        gradient, diagonal, below = _assembled(path, terms, sites, first)
-        roots, couplings, y = eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=dtype)), below, gradient)
-        move = solve_back(roots, couplings, y)
-        variances = jnp.diagonal(marginal_covariances(roots, couplings), axis1=1, axis2=2)
-        next_sites = updated(sites, move, variances, low - path, high - path).recentred(move)
-        promise = jnp.where(is_better, 0.5 * jnp.sum(move * gradient), jnp.inf)
-        return _Search(path, terms, sites, move, next_sites, damping, search.steps + 1, promise)
 
-    def is_unfinished(search: _Search) -> Array:
-        return (search.steps < most_steps) & ((search.promise > TOLERANCE) | (search.steps < 1))
+def _terms(fixed: _Fixed, path: Array) -> Terms:
+    return terms_near(fixed.frames, fixed.unlimited, fixed.form, path)
 
-    no_terms = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(terms_at, path))
-    begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, jnp.zeros((), dtype), jnp.full((), -1), jnp.full((), jnp.inf, dtype))
-    last = jax.lax.while_loop(is_unfinished, step, begun)
-    gradient, diagonal, below = _assembled(last.path, last.terms, last.sites, first)
+
+@jax.jit
+def _stepped(fixed: _Fixed, search: _Search) -> _Search:
+    """Return the search after one more step: the move before it is taken or refused, and the next one is made."""
+    first = fixed.first
+    next_terms = _terms(fixed, search.path + search.move)
+    gain = _gain(search, next_terms, first)
+    # False for NaN, too.
+    is_better = (gain >= -ROUNDING) | (search.steps < 0)
+    taken = (search.path + search.move, next_terms, search.next_sites)
+    path, terms, sites = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), taken, search[:3])
+    eased = jnp.where(search.damping > NONE, EASED * search.damping, 0.0)
+    damping = jnp.where(is_better, eased, jnp.maximum(RAISED * search.damping, LEAST))
+    gradient, diagonal, below = _assembled(path, terms, sites, first)
+    roots, couplings, y = eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=path.dtype)), below, gradient)
+    move = solve_back(roots, couplings, y)
+    variances = jnp.diagonal(marginal_covariances(roots, couplings), axis1=1, axis2=2)
+    next_sites = updated(sites, move, variances, fixed.low - path, fixed.high - path).recentred(move)
+    promise = jnp.where(is_better, 0.5 * jnp.sum(move * gradient), jnp.inf)
+    return _Search(path, terms, sites, move, next_sites, damping, search.steps + 1, promise)
+
+
+@jax.jit
+def _ended(fixed: _Fixed, search: _Search) -> JointPath:
+    """Return the Gaussian about the best path, without damping."""
+    gradient, diagonal, below = _assembled(search.path, search.terms, search.sites, fixed.first)
     roots, couplings, y = eliminated(diagonal, below, gradient)
-    mean = last.path + solve_back(roots, couplings, y)
-    return JointPath(mean, last.path, roots, couplings, last.terms, last.sites, low, high, last.steps, last.promise)
+    mean = search.path + solve_back(roots, couplings, y)
+    about = (search.path, roots, couplings, search.terms, search.sites)
+    return JointPath(mean, *about, fixed.low, fixed.high, search.steps, search.promise)
 
 
 @jax.jit
@@ -260,17 +298,27 @@ def _assembled(path: Array, terms: Terms, sites: Sites, first: FirstFrame) -> tu
     return gradient, diagonal, below
 
 
-def _check(frames: Frames, unlimited: Transition, start: State) -> None:
-    needed_by, remedy = "the joint posterior of all frames", "smooth by paths"
-    transition = frames.transition
-    if frames.linked:
-        name = next(factor.name for factor in frames.factors if factor.reads_previous)
-        raise input_error(needed_by, f"'{name}' compares a frame with the frame before", "a model whose terms read one frame", remedy)
+def check_path(transition: Transition, factors: Sequence[Factor], unlimited: Transition, form: State) -> None:
+    """Check that a model's paths have a Gaussian approximation.
+
+    Args:
+        transition: the motion prior.
+        factors: the other terms of a frame.
+        unlimited: the motion prior without its limits.
+        form: the sampled variables of a frame.
+
+    Raises:
+        InputError: a factor reads the previous frame; the motion prior carries more than the sampled variables of a frame, has coordinates of its
+            own, or a distribution without a centre `loc`.
+    """
+    needed_by, remedy = "the joint posterior of all frames", "smooth by paths, such as --start ensemble"
+    reading = [factor.name for factor in factors if factor.reads_previous]
+    if reading:
+        raise input_error(needed_by, f"'{reading[0]}' compares a frame with the frame before", "a model whose terms read one frame", remedy)
     if getattr(transition.carry, "func", transition.carry) is not nothing_carried:
         problem = f"the dynamics '{transition.name}' carry more along than the sampled variables of one frame"
         raise input_error(needed_by, problem, "dynamics that depend on the pose of the frame before alone", remedy)
-    state = jax.tree.map(lambda leaf: leaf[0], dict(start))
-    has_centres = all(hasattr(base_of(distribution), "loc") for distribution in unlimited.conditional(state).values())
-    if transition.chart is not None or not has_centres or any(value.ndim != 1 for value in state.values()):
+    has_centres = all(hasattr(base_of(distribution), "loc") for distribution in unlimited.conditional(form).values())
+    if transition.chart is not None or not has_centres or any(value.ndim != 1 for value in form.values()):
         problem = f"the dynamics '{transition.name}' are no walk of independent numbers about a centre"
         raise input_error(needed_by, problem, "dynamics such as constant_velocity or diffusion", remedy)
