@@ -49,7 +49,7 @@ class FilterInfo(NamedTuple):
             `steps`: number of steps of the search.
             `converged`: whether the search ended before its largest number of steps.
             `pareto_k`: tail shape of the weights of the window about the frame; -∞ if they are nearly equal, NaN with too few draws.
-            `near_limit` (dof,): whether the mean of a dof is within two standard deviations of its limit.
+            `near_limit` (dof,): whether the mean of a dof is within three standard deviations of its limit.
     """
 
     ancestors: Array

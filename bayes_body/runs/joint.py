@@ -17,8 +17,8 @@ from bayes_body.tracking.joint import check_model, refuse_restarts, solve
 from bayes_body.tracking.observations import observations
 from bayes_body.tracking.smooth import LastFirst
 
-# Matrices of a frame that are in memory at once, and copies of its paths and of its data.
-MATRICES, PATH_COPIES, DATA_COPIES, NUMBER_BYTES = 20, 4, 2, 4
+# Matrices of a frame that are in memory during a step and those that stay of a run, copies of its paths besides those that stay, and of its data.
+MATRICES, RUN_MATRICES, PATH_COPIES, DATA_COPIES, NUMBER_BYTES = 13, 4, 4, 2, 4
 
 
 def check_joint(session: Session, model: Model, frames: int, runs: int, draws: int, restarted: list[int]) -> None:
@@ -49,8 +49,9 @@ def check_joint(session: Session, model: Model, frames: int, runs: int, draws: i
 def joint_bytes(model: Model, frames: int, runs: int, draws: int, data: int) -> int:
     """Return about how much memory the frames need at once, bytes; `data` is that of one frame's data."""
     numbers = sum(int(np.size(leaf)) for leaf in jax.tree.leaves(dict(model.initial)))
+    matrices = NUMBER_BYTES * numbers**2 * (MATRICES + RUN_MATRICES * (runs - 1))
     paths = NUMBER_BYTES * draws * numbers * (PATH_COPIES + runs)
-    return frames * (NUMBER_BYTES * MATRICES * numbers**2 + paths + DATA_COPIES * data)
+    return frames * (matrices + paths + DATA_COPIES * data)
 
 
 def joint_paths(session: Session, model: Model, options: JointOptions, filtered: Frames, key: Key, into: FrameStore, bar: bool) -> LastFirst:

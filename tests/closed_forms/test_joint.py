@@ -1,7 +1,9 @@
 """The joint posterior of all frames as one Gaussian: the Kalman smoother where all is normal, and quadrature where a walk meets a limit."""
 
 import dataclasses
+import re
 import shutil
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -11,19 +13,26 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.geometry.camera import project
+from bayes_body.cli.main import main
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition, Variable
 from bayes_body.density.frames import stacked
 from bayes_body.kernels.paths.joint import elimination
 from bayes_body.kernels.paths.joint import path as joint
 from bayes_body.kernels.paths.joint.path import FirstFrame, log_ratios, solve_path, window_log_weights
-from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.model.dynamics.diffusion import TruncatedWalk
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.session.read import save_session
+from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.saved_run import load_run
+from bayes_body.runs import joint as joint_runs
+from bayes_body.runs.joint import check_joint
+from bayes_body.runs.run import run as track_run
+from bayes_body.runs.settings import Settings
 from bayes_body.tracking.joint import solve, without_limits
-from bayes_body.tracking.track import track
+from bayes_body.view.report.page import page
 
 FRAMES, ENTRIES = 12, 4
 LOOK = np.array([[1.0, -0.5, 0.3, 0.0], [0.0, 1.0, 0.0, 0.2]])
@@ -231,17 +240,46 @@ def arm_session(textured_session, tmp_path):
 
 
 @pytest.mark.slow
-def test_paths_of_a_filtered_session_are_stored_as_those_of_a_smoother(arm_session):
-    model = build_model("arm_markers", arm_session)
-    draws = track(jax.random.key(0), arm_session, model, build_kernel(), particles=500, runs=2)
-    paths = solve(arm_session, model, draws.frames, jax.random.key(1), draws=60)
-    assert len(paths.frames) == len(draws.frames) and paths.pareto_k.shape == (2, len(draws.frames))
-    for frame, filtered in zip(paths.frames, draws.frames, strict=True):
-        assert {name: values.shape[2:] for name, values in frame.states.items()} == {n: v.shape[2:] for n, v in filtered.states.items()}
-        assert frame.log_weights.shape == (2, 60) and np.isfinite(frame.states["pose"]).all()
-    # The posterior has one mode; both runs find it, from different starts.
-    means, spreads = (np.stack([of(frame.states["pose"], axis=1) for frame in paths.frames]) for of in (np.mean, np.std))
-    assert (np.abs(means[:, 0] - means[:, 1]) / spreads[:, 0]).max() < 4 * np.sqrt(2 / 30)
+def test_a_run_is_smoothed_at_once_on_the_command_line(arm_session, tmp_path, monkeypatch, capsys):
+    save_session(arm_session)
+    run, out, frames = tmp_path / "run", tmp_path / "paths", arm_session.frames
+    track_run(Settings(tmp_path, run, "arm_markers", "sir", {"particles": 500}, runs=2), lambda line: None, bar=False)
+    command = ["smooth", str(run), "--start", "joint", "--draws", "60", "--out", str(out), "--no-pictures"]
+    assert stopped(main, command) == 0
+    printed = capsys.readouterr()
+    assert "joint posterior: run 2 of 2: 0 Newton steps done, the next one promises" in printed.err
+    assert re.search(r"joint +converged after \d+ Newton steps; Pareto k at most 0.7 in windows about \d+ % of the frames", printed.out)
+    with load_run(out) as paths, load_run(run) as source:
+        assert paths.smoothing["start"] == "joint" and "moves" not in paths.smoothing
+        pose = paths.tree["posterior"]["pose"]
+        assert pose.sizes == {"chain": 2, "draw": 60, "frame": frames, "dof": source.tree["posterior"].sizes["dof"]}
+        np.testing.assert_allclose(paths.tree["sample_stats"]["log_weight"], -np.log(60), rtol=1e-6)
+        # The posterior has one mode; both runs find it, from different starts.
+        means, spreads = pose.mean("draw").values, pose.std("draw").values
+        assert (np.abs(means[0] - means[1]) / spreads[0]).max() < 4 * np.sqrt(2 / 30)
+        text = page(paths)
+        assert "60 paths of each run from one Gaussian of all frames" in text and 'id="joint"' in text
+        assert f"bayes-body smooth {run} --out {out}_again --draws 60 --start joint --seed 0" in text
+        # A run that started anew, and one whose frames are too many for the memory.
+        anew = [replace(frame, restarted=np.array([False, number == 3])) for number, frame in enumerate(FrameFiles(run / "frames"))]
+        with pytest.raises(InputError, match=r"the filter started anew in frame 3; .* smooth by paths"):
+            solve(source.session, source.model, anew, jax.random.key(1))
+        with pytest.raises(InputError, match=r"GB of memory for 1000000000 frames at once"):
+            check_joint(source.session, source.model, 10**9, 2, 60, [])
+    # All frames exist: nothing is computed again.
+    monkeypatch.setattr(joint_runs, "solve", None)
+    before = (out / "posterior.nc").read_bytes()
+    assert stopped(main, [*command, "--resume"]) == 0
+    (out / "summary.json").unlink()
+    assert stopped(main, [*command, "--resume"]) == 0
+    assert (out / "posterior.nc").read_bytes() == before
+
+
+def stopped(function, words) -> int:
+    """The exit status of a command."""
+    with pytest.raises(SystemExit) as status:
+        function(words)
+    return status.value.code
 
 
 @pytest.mark.slow

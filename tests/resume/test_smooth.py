@@ -54,7 +54,7 @@ def test_a_smoothed_run_is_read_like_any_other(filtered, smoothed, tmp_path):
         assert np.array_equal(paths.tree["filter"]["log_evidence"], source.tree["filter"]["log_evidence"])
         text = page(paths)
         assert "smoothed: 30 paths of each run, given all images" in text and 'id="filter"' not in text and "the filter&#x27;s mean" in text
-        assert f"bayes-body smooth {filtered} --out {smoothed}_again --draws 30 --moves 0 --seed 0" in text
+        assert f"bayes-body smooth {filtered} --out {smoothed}_again --draws 30 --start ensemble --moves 0 --seed 0" in text
         # The curves beside are those of the filter's run, and of no other run to which a stranger's run may lead.
         frames = range(FRAMES)
         np.testing.assert_array_equal(filter_curves(paths, frames).dofs.mean, dof_curves(source, frames).mean)
@@ -127,6 +127,11 @@ def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             smooth_run(SmoothSettings(source, out, DRAWS), quiet, bar=False)
+    with pytest.raises(InputError, match="--moves: given with the start 'joint', whose paths do not move"):
+        smooth_run(SmoothSettings(filtered, tmp_path / "d", {"start": "joint", "moves": 2}), quiet, bar=False)
+    with pytest.raises(InputError, match=r"smoothing\.start was ensemble and is now joint"):
+        smooth_run(SmoothSettings(filtered, smoothed, {"start": "joint"}, resume=True), quiet, bar=False)
+    assert not (tmp_path / "d" / "run.toml").exists()
     with pytest.raises(InputError, match="a smoothed run; expected the run of a filter"):
         run(Settings(looped(FRAMES), smoothed, resume=True), quiet, bar=False)
     with pytest.raises(InputError, match="the run of a filter; expected a smoothed run"):

@@ -31,6 +31,14 @@ def test_a_run_is_headed_by_what_it_was_fitted_to():
     assert "silhouettes" not in figures_text(given | {"reads": ["edges"]})
 
 
+def test_of_one_gaussian_the_terminal_says_whether_it_was_reached_and_where_it_fits():
+    fit = {"joint_steps_max": 7.0, "joint_converged_share": 1.0, "joint_pareto_k_share": 0.62}
+    (line,) = figures_text(SUMMARY | fit).splitlines()[4:]
+    assert line == "joint       converged after 7 Newton steps; Pareto k at most 0.7 in windows about 62 % of the frames"
+    (line,) = figures_text(SUMMARY | fit | {"joint_converged_share": 0.5, "joint_pareto_k_share": None}).splitlines()[4:]
+    assert line == "joint       not converged after 7 Newton steps; Pareto k unknown"
+
+
 def test_a_warning_is_called_one():
     assert warning_line("frame 3: lost.") == "warning     frame 3: lost."
 

@@ -21,7 +21,7 @@ class JointFit:
         steps: number of steps of the search.
         converged: whether the search ended before its largest number of steps.
         pareto_k: tail shape of the weights of the window of three frames about a frame; -∞ if they are nearly equal, NaN with too few draws.
-        near_limit: whether the mean of a dof is within two standard deviations of its limit.
+        near_limit: whether the mean of a dof is within three standard deviations of its limit.
         dofs: names of these dofs; none if the dynamics do not sample the variable that places the body.
     """
 
@@ -38,8 +38,8 @@ class JointFit:
 
     def share_of_good_windows(self, limit: float) -> float:
         """Return the share of frames, over all runs, whose k is not above the limit; NaN if no k is known."""
-        known = ~np.isnan(self.pareto_k)
-        return float((self.pareto_k[known] <= limit).mean()) if known.any() else float("nan")
+        has_k = ~np.isnan(self.pareto_k)
+        return float((self.pareto_k[has_k] <= limit).mean()) if has_k.any() else float("nan")
 
 
 def joint_of(tree: "xr.DataTree") -> JointFit | None:
@@ -51,9 +51,9 @@ def joint_of(tree: "xr.DataTree") -> JointFit | None:
     fit = JointFit(steps[:, 0].astype(int), converged[:, 0].astype(bool), shapes.astype(float), np.zeros((*shapes.shape, 0), bool), ())
     if f"{JOINT}near_limit" not in group:
         return fit
-    near = group[f"{JOINT}near_limit"]
-    names = tuple(np.asarray(near[near.dims[-1]]).astype(str).tolist())
-    return JointFit(fit.steps, fit.converged, fit.pareto_k, np.asarray(near).astype(bool), names)
+    flags = group[f"{JOINT}near_limit"]
+    names = tuple(np.asarray(flags[flags.dims[-1]]).astype(str).tolist())
+    return JointFit(fit.steps, fit.converged, fit.pareto_k, np.asarray(flags).astype(bool), names)
 
 
 def worst_of_joint(fit: JointFit, k_limit: float) -> dict[str, float]:

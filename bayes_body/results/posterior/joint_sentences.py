@@ -45,5 +45,5 @@ def _limits(fit: JointFit, thresholds: Thresholds) -> Iterator[str]:
     ordered = sorted(shares.items(), key=lambda item: -item[1])
     named = ", ".join(f"{dof} ({share:.0%} of the frames)" for dof, share in ordered[:MOST_DOFS])
     more = f" and {len(shares) - MOST_DOFS} more" if len(shares) > MOST_DOFS else ""
-    problem = "within two standard deviations of a limit, where the Gaussian is too far from it, whatever Pareto k says"
+    problem = "within three standard deviations of a limit, where the Gaussian is too far from it, whatever Pareto k says"
     yield f"{named}{more}: {problem}; {BY_NUTS} to know these dofs."

@@ -58,7 +58,7 @@ class KernelTable(Schema):
 
 
 class SmoothingTable(Schema):
-    """`[smoothing]` of a smoothed run: the run whose frames were smoothed, and the options of the smoother."""
+    """`[smoothing]` of a smoothed run: the run whose frames were smoothed, and the options of the smoother. Joint paths do not move."""
 
     folder: Text
     run: Text
@@ -66,10 +66,10 @@ class SmoothingTable(Schema):
     frames: Count
     seed: Annotated[int, Field(strict=True, ge=0)]
     draws: Count
-    start: Literal["ensemble", "particles", "gaussian"]
-    moves: Annotated[int, Field(strict=True, ge=0)]
-    leapfrog_steps: Count
-    candidates: Count
+    start: Literal["ensemble", "particles", "gaussian", "joint"]
+    moves: Annotated[int, Field(strict=True, ge=0)] | None = None
+    leapfrog_steps: Count | None = None
+    candidates: Count | None = None
 
 
 class DefinitionTable(Schema):

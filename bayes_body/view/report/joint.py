@@ -27,10 +27,10 @@ def joint_section(inspection: Inspection) -> Markup:
         parts.append(tag("p", "There are too few paths for Pareto k."))
     else:
         parts += [tag("p", f"{share:.0%} of the windows are within the limit."), figures([_windows(inspection, fit.pareto_k)])]
-    near = sorted(((dof, part) for dof, part in fit.near_limit_shares.items() if part > 0), key=lambda item: -item[1])
-    if near:
-        rows = [(spoken(dof), f"{part:.0%}") for dof, part in near]
-        parts += [tag("h3", "Within two standard deviations of a limit, share of the frames"), table((), rows)]
+    shares = sorted(((dof, part) for dof, part in fit.near_limit_shares.items() if part > 0), key=lambda item: -item[1])
+    if shares:
+        rows = [(spoken(dof), f"{part:.0%}") for dof, part in shares]
+        parts += [tag("h3", "Within three standard deviations of a limit, share of the frames"), table((), rows)]
     return section("joint", TITLE, *parts)
 
 

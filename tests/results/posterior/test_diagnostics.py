@@ -58,6 +58,42 @@ def test_paths_of_a_smoother_get_its_remedy(make_tree):
     assert "smooth with more --moves, or smooth a run with more --particles" in sentences(diagnose(tree))[0]
 
 
+def joint(make_tree, **figures):
+    """The diagnosis of paths from one Gaussian, which converged and fits, but for the figures given."""
+    good = {"steps": np.full((RUNS, FRAMES), 7), "converged": np.ones((RUNS, FRAMES), bool), "pareto_k": np.full((RUNS, FRAMES), 0.7)}
+    tree = make_tree(ancestor=np.full((RUNS, DRAWS, FRAMES), NO_ANCESTOR))
+    near = figures.pop("near_limit", np.zeros((RUNS, FRAMES, 2), bool))
+    values = {f"joint_{name}": (("chain", "frame"), value) for name, value in (good | figures).items()}
+    values["joint_near_limit"] = (("chain", "frame", "dof"), near)
+    tree["filter"] = tree["filter"].to_dataset().assign(values).assign_coords(dof=tree["posterior"]["dof"])
+    tree.attrs["smoothed"] = 1
+    return diagnose(tree)
+
+
+def test_one_gaussian_of_all_frames_that_fits_gives_no_warning(make_tree):
+    found = joint(make_tree)
+    assert sentences(found) == []
+    figures = {name: value for name, value in worst_figures(found).items() if name.startswith("joint_")}
+    assert figures == {"joint_steps_max": 7, "joint_converged_share": 1, "joint_pareto_k_share": 1, "joint_near_limit_max": 0}
+
+
+def test_where_one_gaussian_of_all_frames_fits_badly(make_tree):
+    shapes, converged, near = np.full((RUNS, FRAMES), 0.2), np.ones((RUNS, FRAMES), bool), np.zeros((RUNS, FRAMES, 2), bool)
+    shapes[1, 4:6], converged[2], near[:, :2, 1] = [0.71, np.inf], False, True
+    found = joint(make_tree, pareto_k=shapes, converged=converged, near_limit=near)
+    search, windows, limits = sentences(found)
+    assert search.startswith(
+        "the search for the Gaussian of all frames did not end within 7 steps in run 3: do not use its paths; smooth with --start"
+    )
+    assert windows.startswith(
+        "frames 4-5: the Gaussian of all frames fits badly in windows about 6% of the frames, Pareto k inf at worst, at frame 5 ("
+    )
+    assert limits.startswith("knee (17% of the frames): within three standard deviations of a limit, where the Gaussian is too far from it")
+    assert np.isclose(worst_figures(found)["joint_pareto_k_share"], 34 / 36)
+    (sentence,) = sentences(joint(make_tree, pareto_k=np.full((RUNS, FRAMES), np.nan)))
+    assert sentence.startswith("too few paths for Pareto k")
+
+
 @pytest.mark.parametrize("frames", [1, 7, 150])
 def test_unique_ancestors_by_following_each_particle(make_tree, frames):
     rng = np.random.default_rng(frames)

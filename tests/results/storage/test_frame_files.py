@@ -33,6 +33,7 @@ def result(seed: int) -> FrameResult:
         evaluations=np.array([7, 14], np.int32),
         markov={"acceptance": rng.random((RUNS, 2), np.float32), "divergences": rng.integers(0, 3, (RUNS, 2), np.int32)},
         messages={"belief_ess": rng.random((RUNS, 3), np.float32), "samples": np.full(RUNS, 50, np.int32)},
+        joint={"converged": np.array([True, False]), "near_limit": rng.random((RUNS, DOFS)) < 0.5},
         modes={"attempt": rng.integers(0, 3, RUNS, np.int32), "pareto_k": rng.random(RUNS, np.float32)},
     )
     states = {"pose": rng.normal(size=(RUNS, PARTICLES, DOFS)).astype(np.float32), "phase": rng.normal(size=(RUNS, PARTICLES))}
@@ -41,7 +42,7 @@ def result(seed: int) -> FrameResult:
 
 def leaves(frame: FrameResult) -> dict[str, np.ndarray]:
     found = {f"states.{name}": values for name, values in frame.states.items()} | frame.info._asdict()
-    for mapping in ("markov", "messages", "modes"):
+    for mapping in ("markov", "messages", "modes", "joint"):
         found |= {f"{mapping}.{name}": values for name, values in found.pop(mapping).items()}
     return {name: np.asarray(values) for name, values in (found | {"w": frame.log_weights, "seen": frame.seen}).items()}
 

@@ -173,8 +173,8 @@ def solve_path(
 def _begun(fixed: _Fixed, path: Array) -> _Search:
     """Return the search before its first step, which knows no terms yet."""
     no_terms = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(_terms, fixed, path))
-    no_sites, none = Sites(jnp.zeros_like(path), jnp.zeros_like(path)), jnp.zeros((), path.dtype)
-    begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, none, jnp.full((), -1, jnp.int32), jnp.full_like(none, jnp.inf))
+    no_sites, zero = Sites(jnp.zeros_like(path), jnp.zeros_like(path)), jnp.zeros((), path.dtype)
+    begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, zero, jnp.full((), -1, jnp.int32), jnp.full_like(zero, jnp.inf))
     # Placed as the program's results are: it is compiled once.
     return everywhere(begun)
 
