@@ -103,6 +103,11 @@ def everywhere[Tree](tree: Tree) -> Tree:
     return jax.device_put(tree, replicated())
 
 
+def on_first_device[Tree](tree: Tree) -> Tree:
+    """Return the tree with its arrays on the first device, for a program that is not spread: replicated, every device would compute it."""
+    return jax.device_put(tree, jax.devices()[0])
+
+
 def replicated() -> NamedSharding:
     """Return the sharding of an array that is replicated on every device."""
     return NamedSharding(Mesh(np.array(jax.devices()), (DEVICES,)), PartitionSpec())

@@ -27,7 +27,7 @@ from bayes_body.density.frames import Frames as StackedFrames
 from bayes_body.density.frames import stacked
 from bayes_body.density.gaussian_view import joined, split
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
-from bayes_body.kernels.batching import everywhere
+from bayes_body.kernels.batching import everywhere, on_first_device
 from bayes_body.kernels.laplace.pareto import pareto_shape
 from bayes_body.kernels.paths.joint.path import FirstFrame, JointPath, check_path, log_ratios, solve_path, window_log_weights
 from bayes_body.model.build import Model
@@ -95,7 +95,8 @@ def solve(
     starts = _means(model.transition, filtered, centre)
     with closing(observations(session, model, range(len(filtered)))) as observed:
         densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, start) for o in observed]
-    frames, unlimited = stacked(densities), without_limits(model)
+    frames, unlimited = on_first_device(stacked(densities)), without_limits(model)
+    starts = on_first_device(starts)
     del densities
     solutions, paths, ready = list[JointPath](), list[_Paths](), 0.0
     for run, run_start in enumerate(starts):
@@ -103,7 +104,7 @@ def solve(
         solutions.append(jax.block_until_ready(solve_path(frames, unlimited, first, run_start, on_step=watch)))
         waited = watch.waited()
         on_progress(f"run {run + 1} of {len(starts)}: drawing {draws} paths")
-        drawn, compiled = _drawn(jax.random.fold_in(draw_key, run), frames, solutions[run], run_start, draws, model.body.variable)
+        drawn, compiled = _drawn(on_first_device(jax.random.fold_in(draw_key, run)), frames, solutions[run], run_start, draws, model.body.variable)
         paths.append(drawn)
         # The first run waits for the compiler.
         ready += 0.0 if run else waited + compiled

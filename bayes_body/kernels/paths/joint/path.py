@@ -37,7 +37,7 @@ from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.factor import Factor, State, Transition, nothing_carried
 from bayes_body.density.frames import Frames
 from bayes_body.density.gaussian_view import joined, split
-from bayes_body.kernels.batching import everywhere, one_device, over_particles
+from bayes_body.kernels.batching import on_first_device, one_device, over_particles
 from bayes_body.kernels.paths.joint.elimination import eliminated, marginal_covariances, solve_back
 from bayes_body.kernels.paths.joint.limits import Sites, limits, updated
 from bayes_body.kernels.paths.joint.terms import Terms, base_of, terms_near
@@ -104,7 +104,8 @@ class JointPath(NamedTuple):
     def draw(self, key: Key, count: int) -> Float[Array, "draw frame entry"]:
         """Return draws of paths, in pairs on both sides of the mean. An entry near a limit may lie beyond it."""
         noise = jax.random.normal(key, ((count + 1) // 2, *self.mean.shape), self.mean.dtype)
-        pairs = jnp.concatenate([noise, -noise])[:count]
+        # Side by side, so that halves of the draws, which R-hat compares, have the same mean.
+        pairs = jnp.stack([noise, -noise], axis=1).reshape(-1, *self.mean.shape)[:count]
         return self.mean + jax.lax.map(lambda y: solve_back(self.roots, self.couplings, y), pairs, batch_size=PATHS)
 
     def inside(self, paths: Float[Array, "*draw frame entry"]) -> Float[Array, "*draw frame entry"]:
@@ -161,8 +162,8 @@ def solve_path(
     check_path(frames.transition, frames.factors, unlimited, form)
     with one_device():
         low, high = limits(frames.transition, form)
-        fixed = _Fixed(frames, unlimited, first, form, low, high)
-        search = _begun(fixed, jax.vmap(joined)(dict(start)))
+        fixed, path = on_first_device((_Fixed(frames, unlimited, first, form, low, high), jax.vmap(joined)(dict(start))))
+        search = _begun(fixed, path)
         while (search.steps < most_steps) & ((search.promise > TOLERANCE) | (search.steps < 1)):
             search = _stepped(fixed, search)
             if on_step is not None:
@@ -176,7 +177,7 @@ def _begun(fixed: _Fixed, path: Array) -> _Search:
     no_sites, zero = Sites(jnp.zeros_like(path), jnp.zeros_like(path)), jnp.zeros((), path.dtype)
     begun = _Search(path, no_terms, no_sites, jnp.zeros_like(path), no_sites, zero, jnp.full((), -1, jnp.int32), jnp.full_like(zero, jnp.inf))
     # Placed as the program's results are: it is compiled once.
-    return everywhere(begun)
+    return on_first_device(begun)
 
 
 def _terms(fixed: _Fixed, path: Array) -> Terms:
