@@ -1,4 +1,4 @@
-"""The joint posterior of all frames of a filtered session as one Gaussian, and draws of paths from it (kernels/paths/joint.py).
+"""The joint posterior of all frames of a filtered session as one Gaussian, and draws of paths from it (kernels/paths/joint/path.py).
 
 The search starts from the means of each run of the filter. All data of the recording are in memory at once. The paths are stored as those of a
 smoother are (tracking/smooth.py). They have equal weights. Pareto k of a frame says how well the Gaussian fits the exact density in a window of a few
@@ -90,15 +90,18 @@ def solve(
     on_progress(f"reading {len(filtered)} frames")
     refuse_restarts([session.frame_number(index) for index, frame in enumerate(filtered) if frame.restarted.any()])
     start_key, prior_key, draw_key = jax.random.split(key, 3)
+    began = time.perf_counter()
     start = everywhere(model.start(PRIOR_DRAWS, start_key))
     first, centre = _first_frame(prior_key, model.transition, start)
+    # What waits for the compiler: the first frame's prior, and the programs of the first run.
+    ready = time.perf_counter() - began
     starts = _means(model.transition, filtered, centre)
     with closing(observations(session, model, range(len(filtered)))) as observed:
         densities = [Density(model.transition, model.factors if o.factors is None else o.factors, o.data, start) for o in observed]
     frames, unlimited = on_first_device(stacked(densities)), without_limits(model)
     starts = on_first_device(starts)
     del densities
-    solutions, paths, ready = list[JointPath](), list[_Paths](), 0.0
+    solutions, paths = list[JointPath](), list[_Paths]()
     for run, run_start in enumerate(starts):
         watch = _Watch(on_progress, run, len(starts))
         solutions.append(jax.block_until_ready(solve_path(frames, unlimited, first, run_start, on_step=watch)))
@@ -106,7 +109,6 @@ def solve(
         on_progress(f"run {run + 1} of {len(starts)}: drawing {draws} paths")
         drawn, compiled = _drawn(on_first_device(jax.random.fold_in(draw_key, run)), frames, solutions[run], run_start, draws, model.body.variable)
         paths.append(drawn)
-        # The first run waits for the compiler.
         ready += 0.0 if run else waited + compiled
     seconds = time.perf_counter() - started
     results = _PathFrames(filtered, paths, draws, seconds - ready, ready)
@@ -243,19 +245,19 @@ class _PathFrames:
         frame, runs = self._filtered[index], len(self._paths)
         dtype = frame.log_weights.dtype
         ones = np.ones((runs, 1), dtype)
-        info = FilterInfo(
-            ancestors=np.full((runs, self._draws), NO_ANCESTOR, np.int32),
-            ess=np.full(runs, self._draws, dtype),
-            survival_rate=ones,
-            inverse_temperatures=ones,
-            log_evidence=np.asarray(frame.info.log_evidence),
-            lost=np.asarray(frame.info.lost),
-            acceptance_rate=np.full((runs, 1), np.nan, dtype),
-            evaluations=np.array([self._draws + paths.figures["steps"][index] for paths in self._paths], np.int32),
-            joint={name: np.stack([paths.figures[name][index] for paths in self._paths]) for name in self._paths[0].figures},
-        )
+        info: dict[str, Any] = {
+            "ancestors": np.full((runs, self._draws), NO_ANCESTOR, np.int32),
+            "ess": np.full(runs, self._draws, dtype),
+            "survival_rate": ones,
+            "inverse_temperatures": ones,
+            "log_evidence": np.asarray(frame.info.log_evidence),
+            "lost": np.asarray(frame.info.lost),
+            "acceptance_rate": np.full((runs, 1), np.nan, dtype),
+            "evaluations": np.array([self._draws + paths.figures["steps"][index] for paths in self._paths], np.int32),
+            "joint": {name: np.stack([paths.figures[name][index] for paths in self._paths]) for name in self._paths[0].figures},
+        }
         states = {name: np.stack([paths.states[name][:, index] for paths in self._paths]) for name in self._paths[0].states}
         log_weights = np.full((runs, self._draws), -np.log(self._draws), dtype)
         # The first frame took longer: it waited for the compiler.
         ready = 0.0 if index else self._ready
-        return FrameResult(states, log_weights, info, frame.seen, self._seconds / len(self), ready, frame.restarted)
+        return FrameResult(states, log_weights, FilterInfo(**info), frame.seen, self._seconds / len(self), ready, frame.restarted)

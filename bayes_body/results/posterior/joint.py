@@ -52,7 +52,7 @@ def joint_of(tree: "xr.DataTree") -> JointFit | None:
     if f"{JOINT}near_limit" not in group:
         return fit
     flags = group[f"{JOINT}near_limit"]
-    names = tuple(np.asarray(flags[flags.dims[-1]]).astype(str).tolist())
+    names = tuple(np.asarray(flags[str(flags.dims[-1])]).astype(str).tolist())
     return JointFit(fit.steps, fit.converged, fit.pareto_k, np.asarray(flags).astype(bool), names)
 
 
