@@ -15,7 +15,9 @@ def smooth(
     out: Path | None = typer.Option(None, "--out", help="Folder for the smoothed run; by default RUN_smoothed, or the next free RUN_smoothed_2 ..."),
     draws: int | None = typer.Option(None, "--draws", help="Paths of each run of the filter, 250 by default."),
     moves: int | None = typer.Option(
-        None, "--moves", help="Markov moves of each state, 1 by default, 0 for runs of the kernel laplace; with 0 no images are read."
+        None,
+        "--moves",
+        help="Markov moves of each state, 1 by default, 0 for runs of the kernel laplace; with 0 no images are read. Not with --start joint.",
     ),
     start: str | None = typer.Option(
         None,

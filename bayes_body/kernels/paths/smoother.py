@@ -18,6 +18,8 @@ exact only if everything is normal.
 `start = "gaussian"` (kernels/paths/rts.py) takes the moments of the particles alone. It is the default for runs of the kernel `laplace`, without
 moves.
 
+`start = "joint"` is no walk back, and has options of its own: all paths come from one Gaussian of all frames (kernels/paths/joint/path.py).
+
 Then each state *moves* given its neighbours on the path: HMC with the target
 
 $$p(x_t \mid s_{t-1})\, L(z_t; x_t)\, C \prod_{k=1}^{m} p(x_{t+k} \mid s_{t+k-1}),$$
