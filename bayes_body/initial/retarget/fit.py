@@ -1,4 +1,4 @@
-r"""Fit of a motion: the angles of all frames together, and the lengths that they share, by Adam in unconstrained coordinates.
+r"""Fit of a motion: the angles of all frames together, and the lengths that they share, in unconstrained coordinates.
 
 $$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu \sigma_i^2}\bigr)
     + \tfrac12 \sum_k \bigl(\tfrac{s_{tk} - m_k}{\tau_k}\bigr)^2\Bigr]
@@ -7,8 +7,8 @@ $$U = \sum_t \Bigl[\sum_i \tfrac{\nu + 3}{2} \log\bigl(1 + \tfrac{r_{ti}^2}{\nu 
 The first sums are the misfit of a first pose to markers (`bayes_body.initial.fitting.misfit`). The term with second differences keeps dofs that the
 landmarks do not determine from jumping between equally good solutions. The lengths depend on z as in `bayes_body.initial.fitting.points`.
 
-The misfit of a single frame has many minima. The most complete frame is therefore searched like a first pose. Each other frame starts from the
-solution of its neighbour.
+The misfit of a single frame has many minima. The most complete frame is therefore searched like a first pose. Each other frame is then fitted by
+Gauss-Newton from the solution of its neighbour, and at last all frames together by Adam.
 """
 
 from typing import NamedTuple
@@ -29,8 +29,9 @@ from bayes_body.initial.retarget.problem import landmarks_of_frame
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.solids import Body
 
-# Adam's steps and rates (unconstrained coordinates): for each frame from its neighbour's pose, and for all frames together.
-FOLLOW_STEPS, FOLLOW_RATE = 40, 0.05
+# Gauss-Newton steps of each frame from its neighbour's pose, their damping, and their largest change of an unconstrained coordinate.
+FOLLOW_STEPS, DAMPING, LARGEST_STEP = 6, 0.1, 0.5
+# Adam's steps and rate, in unconstrained coordinates, for all frames together.
 STEPS, RATE = 600, 0.06
 # Typical speeds (rad/s for angles, m/s for shifts) and accelerations (rad/s^2, m/s^2) of a person who moves.
 SPEEDS, ACCELERATIONS = (10.0, 3.0), (100.0, 20.0)
@@ -87,23 +88,47 @@ def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
 def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
     """Return the unconstrained angles of every frame. Each frame is fitted from its neighbour's solution; the lengths are fixed."""
     start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
-    usual = _by_unit(problem, SPEEDS)
 
     def fit_frame(previous_x: Pose, frame: Index) -> tuple[Pose, Pose]:
         # The frame before `first` starts from the first pose, not from the solution of the last frame.
         previous_x = jnp.where(frame == first - 1, start, previous_x)
-
-        def misfit(x: Pose) -> Scalar:
-            pose = pose_of(problem.body.skeleton, x)
-            # Adam's steps do not depend on the gradient's size: without this term it would drift in directions that the landmarks do not determine.
-            moved = (pose - pose_of(problem.body.skeleton, previous_x)) / (usual * motion.step_s)
-            return _misfit_of_frame(problem, body, pose, motion.places[frame], motion.mask[frame]) + 0.5 * jnp.sum(moved**2)
-
-        x, _ = minimise(lambda x, _: (jax.grad(misfit)(x), ()), previous_x, FOLLOW_RATE, FOLLOW_STEPS)
+        x = _gauss_newton(problem, body, previous_x, motion.places[frame], motion.mask[frame], motion.step_s)
         return x, x
 
     _, solutions = jax.lax.scan(fit_frame, start, order)
     return jnp.zeros_like(solutions).at[order].set(solutions)
+
+
+def _gauss_newton(
+    problem: Problem, body: Body, start: Pose, markers: Float[Array, "marker 3"], mask: Float[Array, " marker"], step_s: Scalar
+) -> Pose:
+    r"""Return the unconstrained angles of one frame, near those of its neighbour.
+
+    The robust misfit's Gauss-Newton weights are $w_i = (\nu + 3) / (\nu \sigma_i^2 + r_i^2)$. The landmarks leave some directions almost undetermined,
+    such as the pelvis's tilt. Adam, whose steps do not depend on the size of the slope, drifts along them from frame to frame; a step of Gauss-Newton
+    goes to where prior and neighbour have them.
+    """
+    usual, neighbour = _by_unit(problem, SPEEDS) * step_s, pose_of(problem.body.skeleton, start)
+
+    def residuals(x: Pose) -> tuple[Array, Array, Array]:
+        pose = pose_of(problem.body.skeleton, x)
+        return (
+            marker_positions(body.skeleton, body.markers, pose) - markers,
+            (pose - problem.prior.mean) / problem.prior.sd,
+            (pose - neighbour) / usual,
+        )
+
+    def step(x: Pose, _: None) -> tuple[Pose, None]:
+        missed, expected, moved = residuals(x)
+        slopes = jax.jacfwd(residuals)(x)
+        weights = mask * (NU + 3) / (NU * problem.tolerance**2 + jnp.sum(missed**2, axis=1))
+        terms = ((missed.ravel(), slopes[0].reshape(-1, len(x)), jnp.repeat(weights, 3)), (expected, slopes[1], 1.0), (moved, slopes[2], 1.0))
+        normal = sum((slope.T * weight) @ slope for _, slope, weight in terms) + DAMPING * jnp.eye(len(x), dtype=x.dtype)
+        gradient = sum((slope.T * weight) @ residual for residual, slope, weight in terms)
+        change = jnp.linalg.solve(normal, gradient)
+        return x - jnp.clip(change, -LARGEST_STEP, LARGEST_STEP), None
+
+    return jax.lax.scan(step, start, None, FOLLOW_STEPS)[0]
 
 
 class _Parameters(NamedTuple):
