@@ -22,6 +22,8 @@ COLUMNS = (
     ("error mm", "error_mm_mean", ".0f"),
     ("relative mm", "error_mm_relative", ".0f"),
     ("coverage of 90 %", "coverage_90", ".2f"),
+    ("calibration error", "ece_radial", ".2f"),
+    ("CRPS mm", "crps_mm", ".0f"),
     ("log evidence", "log_evidence", ",.1f"),
     ("lost", "frames_lost", "d"),
 )

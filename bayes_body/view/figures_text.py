@@ -72,5 +72,8 @@ def _accuracy(summary: Mapping[str, Any]) -> list[str]:
     covered = [
         f"{100 * figures[key]:.0f} % of the truth inside the {level} % intervals" for level in (50, 90) if (key := f"coverage_{level}") in figures
     ]
+    if summary.get("ece_radial") is not None:
+        marker, worst = next(iter(summary["ece_radial_by_marker"].items()))
+        covered.append(f"calibration error {summary['ece_radial']:.2f} (worst {marker}, {worst:.2f})")
     parts = [", ".join([f"{figures['error_mm_mean']:.0f} mm from the truth", *errors]), *([", ".join(covered)] if covered else [])]
     return [f"accuracy    {'; '.join(parts)}"]

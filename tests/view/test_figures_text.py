@@ -51,3 +51,5 @@ def test_with_a_truth_there_is_a_line_on_it():
         "with the skeletons' offset fitted 36 mm; 31 % of the truth inside the 50 % intervals, 62 % of the truth inside the 90 % intervals"
     )
     assert figures_text(none | {"error_mm_mean": 48.2}).splitlines()[-1] == "accuracy    48 mm from the truth"
+    calibration = {"error_mm_mean": 48.2, "ece_radial": 0.08, "ece_radial_by_marker": {"l_wrist": 0.31, "head": 0.02}}
+    assert figures_text(none | calibration).splitlines()[-1] == "accuracy    48 mm from the truth; calibration error 0.08 (worst l_wrist, 0.31)"

@@ -104,7 +104,7 @@ def _gauss_newton(
 ) -> Pose:
     r"""Return the unconstrained angles of one frame, near those of its neighbour.
 
-    The robust misfit's Gauss-Newton weights are $w_i = (\nu + 3) / (\nu \sigma_i^2 + r_i^2)$. The landmarks leave some directions almost undetermined,
+    The robust misfit's Gauss-Newton weights are $w_i = (\nu + 3) / (\nu \sigma_i^2 + r_i^2)$. The landmarks leave some directions almost open,
     such as the pelvis's tilt. Adam, whose steps do not depend on the size of the slope, drifts along them from frame to frame; a step of Gauss-Newton
     goes to where prior and neighbour have them.
     """

@@ -99,7 +99,7 @@ def angle_paths(tree: "xr.DataTree", model: Model, up: int, fps: float) -> Angle
     degrees = _aligned(np.degrees(np.swapaxes(np.concatenate(pieces), 0, 1)))
     columns, first = [], 0
     for joint in joints:
-        columns += [first + place for place in _determined(joint, degrees[..., first : first + len(joint.free)])]
+        columns += [first + place for place in determined(joint, degrees[..., first : first + len(joint.free)])]
         first += len(joint.free)
     labels = [(joint.convention.angles[k].name, joint.side) for joint in joints for k in joint.free]
     names, sides = zip(*(labels[column] for column in columns), strict=True) if columns else ((), ())
@@ -119,8 +119,8 @@ def _aligned(degrees: Float[np.ndarray, "draw frame angle"]) -> Float[np.ndarray
     return unwrapped - TURN * np.round((means - reference) / TURN)
 
 
-def _determined(joint: Joint, degrees: Float[np.ndarray, "draw frame free"]) -> list[int]:
-    """Return the columns of a joint's angles that are determined in all frames."""
+def determined(joint: Joint, degrees: Float[np.ndarray, "draw frame free"]) -> list[int]:
+    """Return the columns of a joint's angles that are determined in all frames: all, or the second one if the joint comes near gimbal lock."""
     if 1 not in joint.free:
         return list(range(len(joint.free)))
     middle = joint.free.index(1)

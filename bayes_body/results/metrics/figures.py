@@ -12,12 +12,20 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.results.metrics.accuracy import LEVELS
-from bayes_body.results.metrics.truth import AgainstTruth, mean_known
+from bayes_body.results.metrics.angles import AngleAccuracy
+from bayes_body.results.metrics.calibration import calibration_errors, error_by_certainty, tarp
+from bayes_body.results.metrics.truth import Accuracy, AgainstTruth, mean_known
 
+SCORES = ("coverage_90_by_marker", "ece_radial", "ece_radial_by_marker", "tarp", "crps_mm", "error_mm_by_certainty")
+ANGLES = ("angle_rms_deg", "angle_coverage_90", "angle_rms_deg_by_angle", "angle_coverage_90_by_angle")
 NAMES = (
     *("error_mm_mean", "error_mm_std", "error_mm_optimistic", "error_mm_relative", "error_mm_by_marker", "coverage_50", "coverage_90"),
     *("error_mm_mean_fitted_offset", "coverage_90_fitted_offset"),
+    *SCORES,
+    *ANGLES,
 )
+# Decimals of the figures by marker and by angle, and of fractions.
+DIGITS = 4
 # The 90 % intervals are too narrow if their coverage is below the first, too wide if it is above the second.
 ACCEPTED = (0.80, 0.98)
 
@@ -42,7 +50,46 @@ def accuracy_figures(comparison: AgainstTruth | None, mode_seeker: bool) -> dict
         "coverage_90": None if mode_seeker else coverage_at(plain.coverage, 0.9),
         "error_mm_mean_fitted_offset": None if fitted is None else _mm(fitted.frame_error),
         "coverage_90_fitted_offset": None if fitted is None or mode_seeker else coverage_at(fitted.coverage, 0.9),
+        **(dict.fromkeys(SCORES) if mode_seeker else _scores(plain)),
+        **_angles(comparison.angles, mode_seeker),
     }
+
+
+def _scores(plain: Accuracy) -> dict[str, Any]:
+    """Return the figures SCORES. Those by marker are in the order from the worst marker to the best; unknown markers are left out."""
+    scores = plain.scores
+    if scores is None or not plain.known.any():
+        return dict.fromkeys(SCORES)
+    errors = calibration_errors(scores.level)
+    joint = tarp(scores.rank, plain.frame_error)
+    by_certainty = 1000 * error_by_certainty(plain.error, scores.spread)
+    return {
+        "coverage_90_by_marker": _by_name(plain.names, plain.coverage_by_marker[LEVELS.index(0.9)], lowest_first=True),
+        "ece_radial": round(float(np.nanmedian(errors)), DIGITS),
+        "ece_radial_by_marker": _by_name(plain.names, errors),
+        "tarp": None if joint is None else {key: round(value, DIGITS) for key, value in joint._asdict().items()} | {"verdict": joint.verdict},
+        "crps_mm": _mm(scores.crps),
+        "error_mm_by_certainty": [round(float(error), 2) for error in by_certainty],
+    }
+
+
+def _angles(angles: AngleAccuracy | None, mode_seeker: bool) -> dict[str, Any]:
+    """Return the figures ANGLES. Those by angle are in the order from the worst angle to the best."""
+    if angles is None or not angles.names:
+        return dict.fromkeys(ANGLES)
+    coverage = angles.coverage[LEVELS.index(0.9)]
+    return {
+        "angle_rms_deg": float(np.sqrt((angles.rms_deg**2).mean())),
+        "angle_coverage_90": None if mode_seeker else float(coverage.mean()),
+        "angle_rms_deg_by_angle": _by_name(angles.names, angles.rms_deg),
+        "angle_coverage_90_by_angle": None if mode_seeker else _by_name(angles.names, coverage, lowest_first=True),
+    }
+
+
+def _by_name(names: tuple[str, ...], values: Float[np.ndarray, " name"], lowest_first: bool = False) -> dict[str, float]:
+    """Return the known values by name, the largest first, or the lowest."""
+    order = np.argsort(values if lowest_first else -values, kind="stable")
+    return {names[place]: round(float(values[place]), DIGITS) for place in order if np.isfinite(values[place])}
 
 
 def sd_over_frames(frame_error: Float[np.ndarray, "frame run"]) -> float:

@@ -9,7 +9,7 @@ is fitted on every other frame and added to the body's marker in the frames betw
 it contributed.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,21 +30,17 @@ from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.accuracy import FrameAccuracy, frame_accuracy
+from bayes_body.results.metrics.angles import AngleAccuracy, TrueAngles, angles_against_truth, true_angles
+from bayes_body.results.metrics.calibration import Scores
+from bayes_body.results.metrics.clouds import Cloud, Clouds, weights_of
+from bayes_body.results.metrics.scores import FrameScores, frame_scores
 from bayes_body.results.posterior import markers
 from bayes_body.tracking.draws import Draws
 
 # With fewer frames with a known truth, no offset is fitted.
 FEWEST = 10
-
-
-class Cloud(NamedTuple):
-    """The particles of one frame: poses in radians and metres, or values of another variable that places the body, and their log-weights."""
-
-    poses: Float[np.ndarray, "run particle *shape"]
-    log_weights: Float[np.ndarray, "run particle"]
-
-
-type Clouds = Callable[[], Iterable[Cloud]]
+# Seed of the random reference points.
+REFERENCES = 0
 
 
 class Accuracy(NamedTuple):
@@ -59,6 +55,7 @@ class Accuracy(NamedTuple):
         inside: number of frames, runs and axes in which the truth is inside the interval of each of LEVELS.
         known: number of frames, runs and axes in which the truth is known.
         residual: vector from the mean marker to the true one, in the frame of the marker's joint, mean over the runs.
+        scores: calibration, CRPS and spread; None with an offset.
     """
 
     names: tuple[str, ...]
@@ -69,6 +66,7 @@ class Accuracy(NamedTuple):
     inside: Int[np.ndarray, "level marker"]
     known: Int[np.ndarray, " marker"]
     residual: Float[np.ndarray, "frame marker 3"]
+    scores: Scores | None = None
 
     @property
     def frame_error(self) -> Float[np.ndarray, "frame run"]:
@@ -93,11 +91,13 @@ class AgainstTruth(NamedTuple):
         plain: accuracy of the body's markers without an offset.
         fitted: accuracy with the offset fitted on the other half of the frames; None with fewer than FEWEST frames with a known truth.
         offsets: offsets fitted on all frames, in the frame of the marker's joint, metres; NaN for a marker that is never known.
+        angles: the clinical angles compared with the true ones; None if the truth has none of this body.
     """
 
     plain: Accuracy
     fitted: Accuracy | None
     offsets: Float[np.ndarray, "marker 3"]
+    angles: AngleAccuracy | None = None
 
 
 def true_markers(session: Session) -> Float[np.ndarray, "frame 15 3"] | None:
@@ -124,7 +124,9 @@ def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched
     if truth is None:
         return None
     frames = range(len(draws.frames))
-    return against_truth(draws.model, lambda: (_cloud(draws, index) for index in watch(frames)), truth[: len(frames)])
+    angles = true_angles(session, draws.model)
+    angles = None if angles is None else angles.select(frames)
+    return against_truth(draws.model, lambda: (_cloud(draws, index) for index in watch(frames)), truth[: len(frames)], angles)
 
 
 def _cloud(draws: Draws, index: int) -> Cloud:
@@ -132,13 +134,14 @@ def _cloud(draws: Draws, index: int) -> Cloud:
     return Cloud(frame.states[draws.model.body.variable], frame.log_weights)
 
 
-def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"]) -> AgainstTruth | None:
+def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"], angles: TrueAngles | None = None) -> AgainstTruth | None:
     """Compare particles with the truth, with one frame in memory at a time; None if body and truth share no marker.
 
     Args:
         model: the run's model.
         clouds: returns a new iterator over the particles of each frame at each call.
         truth: true markers in the same frames, in the order of `evidence.markers.MARKERS`, metres; NaN where unknown.
+        angles: true clinical angles in the same frames, if they are known.
     """
     body = model.body.markers
     places = [place for place, name in enumerate(body.names) if name in MARKERS]
@@ -148,12 +151,13 @@ def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 
     common = Markers(names, tuple(body.joints[place] for place in places), body.offsets[jnp.array(places)])
     true = truth[:, [MARKERS.index(name) for name in names]]
     folds = _folds(true)
-    plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds))
+    plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds), scored=True)
     fitted = None
     if np.isfinite(true).all(axis=-1).any(axis=-1).sum() >= FEWEST:
         offsets = np.stack([mean_known(plain.residual[folds != fold], 0) for fold in range(2)])
         fitted = _accuracy(model, common, clouds, true, offsets, folds)
-    return AgainstTruth(plain, fitted, mean_known(plain.residual, 0))
+    angle_accuracy = None if angles is None else angles_against_truth(model, clouds, angles)
+    return AgainstTruth(plain, fitted, mean_known(plain.residual, 0), angle_accuracy)
 
 
 def _folds(truth: Float[np.ndarray, "frame marker 3"]) -> Int[np.ndarray, " frame"]:
@@ -168,22 +172,34 @@ def _accuracy(
     truth: Float[np.ndarray, "frame marker 3"],
     offsets: Float[np.ndarray, "fold marker 3"],
     folds: Int[np.ndarray, " frame"],
+    scored: bool = False,
 ) -> Accuracy:
     """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
-    by_frame, inside = [], np.zeros((), int)
+    by_frame, inside, scores, rng = [], np.zeros((), int), [], np.random.default_rng(REFERENCES)
     moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
     fold_truth = np.where(np.isfinite(offsets[folds]), truth, np.nan)
     for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
-        runs = [_of_run(moved[fold], *particles, true) for particles in zip(*cloud, strict=True)]
-        inside = inside + np.sum([accuracy.inside for accuracy, _ in runs], axis=(0, -1))
+        noise = rng.standard_normal(true.shape) if scored else None
+        runs = [_of_run(moved[fold], *particles, true, noise) for particles in zip(*cloud, strict=True)]
+        inside = inside + np.sum([run.accuracy.inside for run in runs], axis=(0, -1))
         by_frame.append(_stacked(runs))
+        scores.append([run.scores for run in runs])
     error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*by_frame, strict=True))
     count = 3 * np.isfinite(error).sum(axis=(0, 1))
-    return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual)
+    stacked = Scores(*(np.array([[getattr(run, name) for run in frame] for frame in scores]) for name in Scores._fields)) if scored else None
+    return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual, stacked)
 
 
 def _moved(common: Markers, offset: Float[np.ndarray, "marker 3"]) -> Markers:
     return replace(common, offsets=common.offsets + jnp.asarray(np.nan_to_num(offset), common.offsets.dtype))
+
+
+class _Run(NamedTuple):
+    """One frame of one run: accuracy, the residual in the frame of each marker's joint, and scores if they are wanted."""
+
+    accuracy: FrameAccuracy
+    residual: Float[np.ndarray, "marker 3"]
+    scores: FrameScores | None
 
 
 def _of_run(
@@ -191,21 +207,22 @@ def _of_run(
     poses: Float[np.ndarray, "particle *shape"],
     log_weights: Float[np.ndarray, " particle"],
     truth: Float[np.ndarray, "marker 3"],
-) -> tuple[FrameAccuracy, Float[np.ndarray, "marker 3"]]:
-    weights = np.exp(log_weights.astype(float) - log_weights.max())
-    weights /= weights.sum()
+    noise: Float[np.ndarray, "marker 3"] | None,
+) -> _Run:
+    weights = weights_of(log_weights)
     positions, marker_set = markers(model, poses), model.body.markers
     mean = configuration_space(model.body).mean(weights, poses)
     turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
     accuracy = frame_accuracy(positions, weights, truth, marker_set.names)
-    return accuracy, np.einsum("mki,mk->mi", turned, accuracy.off)
+    scores = None if noise is None else frame_scores(positions, weights, truth, noise)
+    return _Run(accuracy, np.einsum("mki,mk->mi", turned, accuracy.off), scores)
 
 
-def _stacked(runs: Sequence[tuple[FrameAccuracy, NDArray[np.floating]]]) -> tuple[NDArray[np.floating], ...]:
+def _stacked(runs: Sequence[_Run]) -> tuple[NDArray[np.floating], ...]:
     """Return the stored figures of a frame: the errors of each run, and the means over the runs of the expected error and of the residual."""
-    by_run = [accuracy for accuracy, _ in runs]
+    by_run = [run.accuracy for run in runs]
     error, relative, optimistic = (np.array([getattr(run, name) for run in by_run]) for name in ("error", "relative", "optimistic"))
-    return error, relative, optimistic, np.mean([run.expected for run in by_run], axis=0), np.mean([residual for _, residual in runs], axis=0)
+    return error, relative, optimistic, np.mean([run.expected for run in by_run], axis=0), np.mean([run.residual for run in runs], axis=0)
 
 
 @jax.jit

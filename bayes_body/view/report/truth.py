@@ -8,8 +8,11 @@ from jaxtyping import Float
 
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.results.metrics.accuracy import LEVELS
+from bayes_body.results.metrics.angles import AngleAccuracy, true_angles
+from bayes_body.results.metrics.calibration import CERTAIN, NOMINAL, Scores, calibration_curves, calibration_errors, error_by_certainty, tarp
+from bayes_body.results.metrics.clouds import Cloud, Clouds
 from bayes_body.results.metrics.figures import accuracy_figures, width
-from bayes_body.results.metrics.truth import AgainstTruth, Cloud, Clouds, against_truth, mean_known, true_markers
+from bayes_body.results.metrics.truth import Accuracy, AgainstTruth, against_truth, mean_known, true_markers
 from bayes_body.results.posterior.blocks import pose_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
@@ -35,6 +38,14 @@ OFFSET = (
     "The joint centres of two skeletons are never exactly the same. The offset is the part of the difference at a joint that is constant over the "
     "frames. It is fitted on every other frame and subtracted in the frames between. The table gives its length as fitted on all frames together."
 )
+RADIAL = (
+    "Calibration by distance: the fraction of truths that are nearer to the draws' median than the fraction of draws on the horizontal axis. Each "
+    "grey curve is a marker. Below the diagonal the posterior is too narrow, above it too wide. The median over the markers hides bad markers."
+)
+CERTAINTY = (
+    "Error of the most certain frames, those with the smallest spread of the markers: it falls to the left if the spread knows where the errors are."
+)
+ANGLES = "The true angles are those with which the body follows the motion that was filmed."
 DETAILS = (("error_mm_relative", "relative to the pelvis"), ("error_mm_optimistic", "for the best particle of each frame"))
 
 
@@ -48,13 +59,14 @@ def truth_section(inspection: Inspection) -> Markup:
     if comparison is None or not comparison.plain.known.any():
         return section("truth", title, tag("p", "None of the body's markers has a true position in the frames of this run."))
     seeker, step = inspection.diagnosis.mode_seeker, frames_a_point(inspection.run.frames)
-    pictures = [_error(inspection, comparison), *([] if seeker else [_calibration(comparison)])]
+    pictures = [_error(inspection, comparison), *([] if seeker else [_calibration(comparison), *_scores(comparison.plain)])]
     parts = [
         *(tag("p", sentence) for sentence in describe_accuracy(comparison, seeker)),
         figures(pictures),
         tag("h3", "Error of each marker"),
         *([tag("p", OFFSET)] if comparison.fitted else []),
         _by_marker(comparison, seeker),
+        *([] if comparison.angles is None else [tag("h3", "Error of each angle"), tag("p", ANGLES), _by_angle(comparison.angles, seeker)]),
         *(
             [tag("p", f"Measured in {sparse_frames(step)} frame of {inspection.run.frames:,}; summary.json has all.", class_="note")]
             if step > 1
@@ -76,7 +88,9 @@ def measured(run: "SavedRun") -> AgainstTruth | None:
     if truth is None:
         return None
     frames = range(0, run.frames, frames_a_point(run.frames))
-    return against_truth(run.model, _clouds(run, frames), truth[frames.start : frames.stop : frames.step])
+    angles = true_angles(run.session, run.model)
+    chosen_angles = None if angles is None else angles.select(frames)
+    return against_truth(run.model, _clouds(run, frames), truth[frames.start : frames.stop : frames.step], chosen_angles)
 
 
 def _clouds(run: "SavedRun", frames: range) -> Clouds:
@@ -103,12 +117,23 @@ def describe_accuracy(comparison: AgainstTruth, mode_seeker: bool) -> list[str]:
     else:
         most = inspection["coverage_90"]
         sentences.append(f"The 90 % intervals contain the truth in {percent(most)} of cases: {width(most)}.")
+        sentences.extend(_of_all_markers(comparison.plain))
     if inspection["error_mm_mean_fitted_offset"] is not None:
         coverage = "" if mode_seeker else f", and the 90 % intervals contain the truth in {percent(inspection['coverage_90_fitted_offset'])} of cases"
         sentences.append(
             f"With the offset between the two skeletons fitted, the error is {inspection['error_mm_mean_fitted_offset']:.0f} mm{coverage}."
         )
     return sentences
+
+
+def _of_all_markers(plain: Accuracy) -> list[str]:
+    """Return the sentence on the joint distribution of all markers; none with too few independent frames."""
+    joint = None if plain.scores is None else tarp(plain.scores.rank, plain.frame_error)
+    if joint is None:
+        return []
+    frames = f"{joint.frames} frames far enough apart"
+    sentence = f"All markers together (TARP): coverage differs by {joint.deviation:+.2f} (sd {joint.sd:.2f}, {frames}) from level {joint.level:.2f}"
+    return [f"{sentence}: {joint.verdict}."]
 
 
 def _error(inspection: Inspection, comparison: AgainstTruth) -> Picture:
@@ -138,6 +163,46 @@ def _calibration(comparison: AgainstTruth) -> Picture:
     axes.set(xlim=(0, 100), ylim=(0, 102))
     pairs = ", ".join(f"{percent(level)}: {percent(share)}" for level, share in zip(LEVELS, comparison.plain.coverage, strict=True))
     return encoded(figure, f"Fraction of the truth inside the intervals of each level: {pairs}.", CALIBRATION)
+
+
+def _scores(plain: Accuracy) -> list[Picture]:
+    """Return the plots of the calibration by distance and of the error by certainty."""
+    return [] if plain.scores is None else [_radial(plain.names, plain.scores), _certainty(plain, plain.scores)]
+
+
+def _radial(names: tuple[str, ...], scores: Scores) -> Picture:
+    curves, errors = calibration_curves(scores.level), calibration_errors(scores.level)
+    known = np.flatnonzero(np.isfinite(errors))
+    worst = known[errors[known].argmax()]
+    figure, axes = new_panel("Calibration by distance", "draws, %", "truths, %")
+    axes.plot(100 * NOMINAL, 100 * curves[:, known], color=GREY, linewidth=0.7, alpha=0.6)
+    axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
+    axes.plot(100 * NOMINAL, 100 * np.median(curves[:, known], axis=1), color=INK, label="median")
+    if len(known) > 1:
+        axes.plot(100 * NOMINAL, 100 * curves[:, worst], color=INK, linestyle=run_line(1), label=f"worst: {spoken(names[worst])}")
+    axes.set(xlim=(0, 100), ylim=(0, 102))
+    axes.legend(loc="best")
+    alt = f"Expected calibration error: median over the markers {np.median(errors[known]):.2f}, worst {errors[worst]:.2f} of {spoken(names[worst])}."
+    return encoded(figure, alt, f"{RADIAL} {alt}")
+
+
+def _certainty(plain: Accuracy, scores: Scores) -> Picture:
+    error_mm = 1000 * error_by_certainty(plain.error, scores.spread)
+    figure, axes = new_panel("Error by certainty", "most certain frames, %", "mean over the markers, mm")
+    axes.plot(100 * CERTAIN, error_mm, color=INK, marker="o", markersize=3.5)
+    axes.set(xlim=(0, 102))
+    axes.set_ylim(0, 1.1 * error_mm.max())
+    return encoded(
+        figure, f"Mean error from {error_mm[0]:.0f} mm in the most certain tenth of the frames to {error_mm[-1]:.0f} mm in all.", CERTAINTY
+    )
+
+
+def _by_angle(angles: AngleAccuracy, mode_seeker: bool) -> Markup:
+    """Return the table of clinical angles, largest error first."""
+    rms, coverage = angles.rms_deg, angles.coverage[LEVELS.index(0.9)]
+    order = np.argsort(-rms, kind="stable")
+    heads = ["angle", "root mean square error, degrees", *([] if mode_seeker else ["inside 90\u00a0%"])]
+    return table(heads, [[spoken(angles.names[k]), f"{rms[k]:.1f}", *([] if mode_seeker else [percent(coverage[k])])] for k in order])
 
 
 def _by_marker(comparison: AgainstTruth, mode_seeker: bool) -> Markup:

@@ -27,8 +27,9 @@ from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.track import track
 from bayes_body.workshop.compare.scenes import Scene, Scenes
 
-# Names of the figures in a row; a figure that does not exist is None.
-FIGURES = ("seconds_per_frame", "ess_per_second", "error_mm_mean", "error_mm_relative", "coverage_90", "log_evidence", "frames_lost")
+# Names of the figures in a row, those of the accuracy first; a figure that does not exist is None.
+ACCURACY = ("error_mm_mean", "error_mm_relative", "coverage_90", "ece_radial", "ece_radial_by_marker", "tarp", "crps_mm")
+FIGURES = ("seconds_per_frame", "ess_per_second", *ACCURACY, "log_evidence", "frames_lost")
 # Packages whose version affects the figures.
 PACKAGES = ("bayes-body", "jax")
 
@@ -157,9 +158,7 @@ def measured(session: Session, draws: Draws) -> dict[str, Any]:
     return {
         "seconds_per_frame": working / len(draws.frames),
         "ess_per_second": None if mode_seeker else ess / working,
-        "error_mm_mean": accuracy["error_mm_mean"],
-        "error_mm_relative": accuracy["error_mm_relative"],
-        "coverage_90": accuracy["coverage_90"],
+        **{name: accuracy[name] for name in ACCURACY},
         "log_evidence": evidence if np.isfinite(evidence) else None,
         "frames_lost": len(draws.frames_lost),
     }

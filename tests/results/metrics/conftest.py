@@ -7,7 +7,7 @@ import pytest
 
 from bayes_body.model.build import build_model
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.results.metrics.truth import Cloud
+from bayes_body.results.metrics.clouds import Cloud
 
 
 @pytest.fixture(scope="module")

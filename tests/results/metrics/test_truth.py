@@ -11,7 +11,7 @@ import pytest
 from bayes_body.model.body.placed_body import loosened
 from bayes_body.results.metrics import accuracy_figures, against_truth
 from bayes_body.results.metrics.accuracy import LEVELS
-from bayes_body.results.metrics.figures import NAMES, width
+from bayes_body.results.metrics.figures import ANGLES, NAMES, SCORES, width
 from bayes_body.results.metrics.truth import FEWEST
 from bayes_body.results.posterior import markers
 from bayes_body.results.posterior.moments import weighted_quantiles
@@ -54,7 +54,13 @@ def test_every_figure_is_what_it_says(arm, clouds_of, all_markers):
     assert (figures["coverage_50"], figures["coverage_90"]) == pytest.approx((np.mean(inside[0.5]), np.mean(inside[0.9])))
     assert 0.1 < figures["coverage_50"] < figures["coverage_90"] < 1 and len(inside[0.9]) == (5 * 3 - 1) * 3 * 2
     # The arm has no pelvis, and five frames are too few for an offset.
-    assert [name for name in NAMES if figures[name] is None] == ["error_mm_relative", "error_mm_mean_fitted_offset", "coverage_90_fitted_offset"]
+    none = ["error_mm_relative", "error_mm_mean_fitted_offset", "coverage_90_fitted_offset"]
+    assert [name for name in NAMES if figures[name] is None] == [*none, *ANGLES]
+    coverage, calibration = figures["coverage_90_by_marker"], figures["ece_radial_by_marker"]
+    assert set(coverage) == set(calibration) == set(names) and list(coverage.values()) == sorted(coverage.values())
+    assert list(calibration.values()) == sorted(calibration.values(), reverse=True)
+    assert figures["ece_radial"] == pytest.approx(np.median(list(calibration.values())), abs=1e-4)
+    assert figures["error_mm_by_certainty"][-1] == pytest.approx(figures["error_mm_mean"], abs=0.01) and figures["tarp"]["frames"] == 5
 
 
 def test_parts_made_from_poses_have_the_figures_of_the_poses(whole, clouds_of, all_markers):
@@ -101,6 +107,7 @@ def test_what_does_not_exist_is_none(arm, clouds_of, all_markers):
     single = against_truth(arm, clouds_of(poses[:1]), all_markers(names, np.zeros((1, 3, 3))))
     seeker, sampler = (accuracy_figures(single, mode_seeker=each) for each in (True, False))
     assert seeker["error_mm_mean"] > 0 and seeker["error_mm_std"] is None and seeker["coverage_50"] is seeker["coverage_90"] is None
+    assert all(seeker[name] is None for name in SCORES)
     assert sampler["coverage_90"] is not None
 
 

@@ -75,6 +75,10 @@ def test_sentences_and_table_say_what_is_so(inspect, parse, arm):
     assert [table[name][0] for name in ("left shoulder", "left elbow", "left wrist")] == ["10", "20", "60"]
     alts = [image["alt"] for image in parse(found).of("img")]
     assert alts[0] == "Error of the mean markers over the frames, from 30 to 30 mm." and "90 %: " in alts[1]
+    # No truth is nearer to the median than the draws, which all lie on it: the mean of the levels below 1 is the error.
+    assert alts[2] == "Expected calibration error: median over the markers 0.50, worst 0.50 of left shoulder."
+    assert alts[3] == "Mean error from 30 mm in the most certain tenth of the frames to 30 mm in all."
+    assert "All markers together (TARP): coverage differs by -0.95" in text and "level 0.95: too narrow." in text
 
 
 @pytest.mark.slow
