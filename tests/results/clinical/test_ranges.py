@@ -7,7 +7,7 @@ from bayes_body.results.clinical.conventions import ELBOW, SHOULDER
 from bayes_body.results.clinical.gait import Gait, Stride, low_pass
 from bayes_body.results.clinical.joints import Joint
 from bayes_body.results.clinical.ranges import range_figures, ranges_of, stride_ranges
-from bayes_body.results.clinical.trajectories import AnglePaths, _aligned, _determined
+from bayes_body.results.clinical.trajectories import AnglePaths, _aligned, determined
 
 FPS, FRAMES, DRAWS = 50.0, 200, 400
 
@@ -73,11 +73,11 @@ def test_what_gimbal_lock_leaves_open_is_left_out():
     angles = np.zeros((5, FRAMES, 3))
     # The arm hangs, in one frame.
     angles[..., 1] = 40 * np.ones(FRAMES) - 30 * (np.arange(FRAMES) == 7)
-    assert _determined(joint(SHOULDER), angles) == [1] and _determined(joint(ELBOW), angles) == [0, 1, 2]
+    assert determined(joint(SHOULDER), angles) == [1] and determined(joint(ELBOW), angles) == [0, 1, 2]
     angles[..., 1] = 80
-    assert _determined(joint(SHOULDER), angles) == [0, 1, 2] and _determined(joint(ELBOW), angles) == [1]
+    assert determined(joint(SHOULDER), angles) == [0, 1, 2] and determined(joint(ELBOW), angles) == [1]
     # The body holds the second angle fixed.
-    assert _determined(joint(ELBOW, (0, 2)), angles[..., :2]) == [0, 1]
+    assert determined(joint(ELBOW, (0, 2)), angles[..., :2]) == [0, 1]
 
 
 def test_noise_that_is_faster_than_people_does_not_make_a_peak():
