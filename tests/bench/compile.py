@@ -69,7 +69,12 @@ def programs(arguments):
         if session is None:
             continue
         yield name, session
-        if not arguments.program and name != SEARCH and ":" not in name and parts_of(kernel_of(*kernel_options(load_definition(name), None, {}))) is not None:
+        if (
+            not arguments.program
+            and name != SEARCH
+            and ":" not in name
+            and parts_of(kernel_of(*kernel_options(load_definition(name), None, {}))) is not None
+        ):
             yield f"{name}{FALLBACK}", session
 
 
