@@ -10,11 +10,12 @@ import pytest
 from bayes_body.base.errors import FaultyFileError, InputError
 from bayes_body.base.geometry.camera import project
 from bayes_body.initial.fitting.measurements import read_measurements, unused_names
-from bayes_body.initial.fitting.points import SPREAD, as_markers, body_points, fields, fixed, scaled, scaling
+from bayes_body.initial.fitting.points import SPREAD, as_markers, body_points, scaled
 from bayes_body.initial.fitting.problem import build_problem
 from bayes_body.initial.fitting.starts import HEADINGS, candidates
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.kinematics import marker_positions
+from bayes_body.model.body.lengths import fields, fixed, scaling
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
 

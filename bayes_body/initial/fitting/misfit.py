@@ -18,9 +18,10 @@ from bayes_body.base.geometry import transforms
 from bayes_body.base.geometry.camera import NEAR, Camera, project, to_camera
 from bayes_body.base.shapes import Pose, Scalar, Vector3
 from bayes_body.initial.fitting.measurements import Measurements
-from bayes_body.initial.fitting.points import Points, Scaling, as_markers, scaled
+from bayes_body.initial.fitting.points import Points, as_markers, scaled
 from bayes_body.initial.fitting.shares import pose_of
 from bayes_body.model.body.kinematics import forward_kinematics, marker_positions
+from bayes_body.model.body.lengths import Scaling
 from bayes_body.model.body.solids import Body
 
 NU = 3.0

@@ -7,7 +7,8 @@ from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.initial.fitting.fit import fit_resting_pose
 from bayes_body.initial.fitting.measurements import Measurements
 from bayes_body.initial.fitting.misfit import Prior, Problem
-from bayes_body.initial.fitting.points import Points, fixed, scaling
+from bayes_body.initial.fitting.points import Points
+from bayes_body.model.body.lengths import fixed, scaling
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session

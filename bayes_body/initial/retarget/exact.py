@@ -26,8 +26,8 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from bayes_body.base.config import FAST_COMPILE
-from bayes_body.initial.fitting.points import Scaling, scaling
 from bayes_body.model.body.kinematics import forward_kinematics
+from bayes_body.model.body.lengths import Scaling, scaling
 from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.skeleton import Motion as Dof
 from bayes_body.model.body.skeleton import Skeleton

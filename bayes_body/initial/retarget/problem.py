@@ -11,7 +11,8 @@ from bayes_body.base.geometry.camera import Camera
 from bayes_body.initial.fitting.fit import fit_resting_pose
 from bayes_body.initial.fitting.measurements import Measurements
 from bayes_body.initial.fitting.misfit import Prior, Problem
-from bayes_body.initial.fitting.points import Points, fixed, scaling
+from bayes_body.initial.fitting.points import Points
+from bayes_body.model.body.lengths import fixed, scaling
 from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.solids import Body
 
