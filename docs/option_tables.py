@@ -17,6 +17,7 @@ HEADINGS = {
     "likelihood": '`[[likelihood]] kind = "{}"`',
     "observation": "`[likelihood.observation]` of `{}`",
     "potential": '`[[constraint]] kind = "{}"`',
+    "unknown": '`[[unknown]] kind = "{}"`',
     "kernel": '`[kernel] kind = "{}"`',
 }
 # Terms of the room "potential" may be written under either name; the guide writes those of joints and parts as potentials.

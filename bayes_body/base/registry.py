@@ -1,4 +1,4 @@
-"""The registry of terms. It maps the names of likelihoods, dynamics, potentials, observations and kernels in a definition to their code.
+"""The registry of terms. It maps the names of likelihoods, dynamics, potentials, unknowns, observations and kernels in a definition to their code.
 
 A built-in term is imported when it is first looked up, so that listing names costs nothing. A user's plugin adds terms with `register`.
 """
@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.toml.schema import Schema
 
-type Room = Literal["likelihood", "observation", "dynamics", "potential", "kernel"]
+type Room = Literal["likelihood", "observation", "dynamics", "potential", "unknown", "kernel"]
 type Place = tuple[Room, str]
 
 # The remedy if a definition names a user's own term.
@@ -100,6 +100,12 @@ _BUILT_IN: dict[Place, str] = {
     ("potential", "kinematic"): "bayes_body.model.potentials.kinematic",
     ("potential", "penetration"): "bayes_body.model.potentials.penetration",
     ("potential", "training_limits"): "bayes_body.model.potentials.training_limits",
+    ("unknown", "lengths"): "bayes_body.model.unknowns.lengths",
+    ("unknown", "widths"): "bayes_body.model.unknowns.widths",
+    ("unknown", "cameras"): "bayes_body.model.unknowns.cameras",
+    ("unknown", "delays"): "bayes_body.model.unknowns.delays",
+    ("unknown", "keypoint_offsets"): "bayes_body.model.unknowns.keypoint_offsets",
+    ("unknown", "noise"): "bayes_body.model.unknowns.noise",
     ("kernel", "sir"): "bayes_body.kernels.smc.particle_filter",
     ("kernel", "hmc"): "bayes_body.kernels.hmc.hmc_filter",
     ("kernel", "annealed"): "bayes_body.kernels.smc.annealed_filter",
@@ -131,7 +137,7 @@ def register(
     What a term is stands here, and nowhere else: no other table names terms.
 
     Args:
-        room: likelihood, observation, dynamics, potential or kernel.
+        room: likelihood, observation, dynamics, potential, unknown or kernel.
         name: the value of `kind` in a definition.
         options: the schema of the term's table, a subclass of `Schema`; by default the term has no options.
         note: what a user must know before trusting its results.

@@ -17,7 +17,7 @@ from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import find
 from bayes_body.base.shapes import Configuration, Key, Pose
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Data, Factor, Particles, State, Transition
+from bayes_body.density.factor import Data, Factor, Particles, State, Transition, variables
 from bayes_body.density.kernel import NamedKernel
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placed_body import loosened, placed_markers
@@ -26,6 +26,8 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import Definition, evidence_of, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, few_cameras, kernel_of, kernel_options
+from bayes_body.model.unknowns.apply import factor_with, settled_factor, transition_with, with_changes
+from bayes_body.model.unknowns.unknown import SIDES, Setting, Unknown, prior_draws
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
 
 # Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
@@ -47,6 +49,7 @@ class Model:
         first: the distribution of the state before the first frame.
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
         cameras: number of the session's cameras that have what the likelihoods read.
+        unknowns: what is not known exactly: variables of the state that change the factors' bodies and cameras.
     """
 
     definition: Definition
@@ -58,6 +61,7 @@ class Model:
     first: First
     observers: Mapping[str, Callable[[Any], Any]]
     cameras: int = 1
+    unknowns: tuple[Unknown, ...] = ()
 
     @property
     def reads(self) -> list[str]:
@@ -135,11 +139,40 @@ class Model:
             count: number of particles.
             key: random key, needed only if the first pose is uncertain (`Model.first`); by default that of seed 0.
         """
-        states = self.first.start(jax.random.key(0) if key is None else key, count)
+        key = jax.random.key(0) if key is None else key
+        states = self.first.start(key, count)
+        if self.unknowns:
+            names = {term.name for term in self.unknowns}
+            others = {name: values for name, values in states.items() if name not in names}
+            states = {**others, **prior_draws(jax.random.fold_in(key, 1), self.unknowns, others)}
         return Particles(states, self._equal(count))
 
     def _equal(self, count: int) -> Float[Array, " particle"]:
         return device_array(np.full(count, -math.log(count)), self.body.lengths.dtype)
+
+    @property
+    def placing(self) -> tuple[str, ...]:
+        """The variables that say where the body's markers are: that which places the body, and unknowns that change the body."""
+        return (self.body.variable, *(term.name for term in self._body_terms))
+
+    @property
+    def _body_terms(self) -> tuple[Unknown, ...]:
+        return tuple(term for term in self.unknowns if term.node is Body and term.sides == SIDES)
+
+    def body_in(self, state: State) -> Body:
+        """Return the body of a state: that of the subject, changed by what the state says of its lengths and widths."""
+        return with_changes(self._body_terms, self.body, variables(state))
+
+    def rig_in(self, state: State) -> Camera:
+        """Return the cameras of a state: those of the session, moved by what the state says of them."""
+        return with_changes(tuple(term for term in self.unknowns if term.node is Camera), self.rig, variables(state))
+
+    def settled(self, state: State) -> "Model":
+        """Return the model with the body and the cameras of a state, such as a mean, for pictures and for the fit to a frame. It has no unknowns."""
+        if not self.unknowns:
+            return self
+        factors = tuple(settled_factor(factor, state) for factor in self.factors)
+        return replace(self, body=self.body_in(state), rig=self.rig_in(state), factors=factors, unknowns=())
 
     def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
         """Return the world positions of the body's virtual markers, metres. `configuration` is a state's variable `body.variable`, such as `pose`."""
@@ -164,10 +197,46 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
     for index, term in enumerate(definition.constraints):
         name = f"{term.kind}_{index + 1}" if index else term.kind
         factors.append(find("potential", term.kind).build(name=name, options=term.options, body=body))
-    transition, after_found = (_transition(definition, body, session, gap) for gap in (1.0, max(1.0, FOUND_S * session.fps)))
+    unknowns = _unknowns(definition, body, rig, session)
+    gaps = (1.0, max(1.0, FOUND_S * session.fps))
+    transition, after_found = (transition_with(_transition(definition, body, session, gap), unknowns) for gap in gaps)
     first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
     _check_derived(transition, first.mode)
-    return Model(definition, body, rig, transition, after_found, tuple(factors), first, observers, _cameras(definition, session))
+    _check_read(unknowns, factors, first.mode)
+    changed = tuple(factor_with(factor, unknowns) for factor in factors)
+    return Model(definition, body, rig, transition, after_found, changed, first, observers, _cameras(definition, session), unknowns)
+
+
+def _unknowns(definition: Definition, body: Body, rig: Camera, session: Session) -> tuple[Unknown, ...]:
+    """Return the unknowns of a definition.
+
+    Raises:
+        InputError: the body is placed by parts, whose coordinates have no room for them.
+    """
+    if definition.unknowns and definition.placement == PARTS:
+        setting, expected = f"[[unknown]] kind = '{definition.unknowns[0].kind}'", 'a body with placement = "angles"'
+        raise input_error(setting, 'with a body that is placed by "parts"', expected, "take the table out, or place the body by angles")
+    names = tuple(view.camera.name for view in session.views)
+    setting = Setting(body, definition.body, rig, names, session.fps, session.subject.height_m is not None)
+    return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in definition.unknowns)
+
+
+def _check_read(unknowns: Sequence[Unknown], factors: Sequence[Factor], state: State) -> None:
+    """Check that each unknown changes a factor, and that the motion prior has the variables that it needs.
+
+    Raises:
+        InputError: one does not, or a variable is missing.
+    """
+    for term in unknowns:
+        if not any(term.concerns(factor) for factor in factors):
+            problem = f"no term of the model reads it: {', '.join(factor.name for factor in factors)}"
+            raise input_error(f"unknown '{term.name}'", problem, "a term that does", "take the table out, or add a likelihood that reads it")
+        if not term.space.dimension:
+            raise input_error(f"unknown '{term.name}'", "nothing to know in this session", "at least one entry", "take the table out")
+        for name in term.reads:
+            if name not in state:
+                problem = f"the motion prior has no variable '{name}'"
+                raise input_error(f"unknown '{term.name}'", problem, "one that has", 'take [dynamics] kind = "constant_velocity"')
 
 
 def _cameras(definition: Definition, session: Session) -> int:
@@ -184,7 +253,8 @@ def with_likelihoods(model: Model, name: str | Path | Definition) -> Model:
         InputError: there is no such definition, or a likelihood does not fit the body's placement.
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
-    factors, observers = _likelihoods(definition, model.body, model.rig)
+    likelihoods, observers = _likelihoods(definition, model.body, model.rig)
+    factors = [factor_with(factor, model.unknowns) for factor in likelihoods]
     others = [factor for factor in model.factors if factor.side != "likelihood"]
     return replace(model, factors=(*factors, *others), observers=observers)
 

@@ -15,7 +15,7 @@ from bayes_body.base.errors import FaultyFileError, InputError, RunWarning, inpu
 from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.base.registry import EVIDENCE, OTHER, Room, find, names
 from bayes_body.base.toml.read import parse_toml, read_toml, validate
-from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.base.toml.schema import Finite, Positive, Schema
 from bayes_body.model.body.schema import BodySchema
 
 # How a state places the body: by joint angles, or by one rigid transform for each part.
@@ -35,12 +35,18 @@ class TermTable(BaseModel):
 
 
 class FirstTable(Schema):
-    """The table `[first]`: standard deviations of the first pose, by names of dofs or patterns. Dofs without one are certain."""
+    """The table `[first]`: standard deviations of the first pose, by names of dofs or patterns. Dofs without one are certain.
+
+    A pose that was fitted to the first frame's data is no prior for that frame, which would count these data twice. So deviations should be wide, and
+    dofs that data hardly determine should begin at rest.
+    """
 
     sd_deg: Mapping[str, Positive] = {}
     """[degrees] table: a dof's name or a pattern = its standard deviation, for angles."""
     sd_m: Mapping[str, Positive] = {}
     """[metres] the same for translations."""
+    rest_deg: Mapping[str, Finite] = {}
+    """[degrees] table: an angle that the first pose is drawn about, in place of the given or fitted one."""
 
 
 class _File(Schema):
@@ -53,6 +59,7 @@ class _File(Schema):
     likelihoods: tuple[TermTable, ...] = Field(alias="likelihood", min_length=1)
     constraints: tuple[TermTable, ...] = Field(alias="constraint", default=())
     potentials: tuple[TermTable, ...] = Field(alias="potential", default=())
+    unknowns: tuple[TermTable, ...] = Field(alias="unknown", default=())
     kernel: TermTable
     first: FirstTable = FirstTable()
 
@@ -92,6 +99,7 @@ class Definition:
     constraints: tuple[TermDefinition, ...]
     kernel: TermDefinition
     first: FirstTable = FirstTable()
+    unknowns: tuple[TermDefinition, ...] = ()
 
     def takes_measures_of(self, body: str | None) -> bool:
         """Whether lengths and a first pose with the names of `body` (None: unknown) can be used for this definition's body."""
@@ -169,12 +177,13 @@ def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") 
     constraints = tuple(
         collect.term("potential", f"{key} #{index + 1}", table) for key in ("constraint", "potential") for index, table in _tables(data.get(key))
     )
+    unknowns = tuple(collect.term("unknown", f"unknown #{index + 1}", table) for index, table in _tables(data.get("unknown")))
+    collect.repeated("unknown", [term.kind for term in unknowns])
     (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
     if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    return Definition(
-        name, text, file.title, file.source, body_name, body_text, placement, body, dynamics, likelihoods, constraints, kernel, file.first
-    )
+    terms = dynamics, likelihoods, constraints, kernel, file.first, unknowns
+    return Definition(name, text, file.title, file.source, body_name, body_text, placement, body, *terms)
 
 
 def _tables(value: Any) -> Iterator[tuple[int, TermTable]]:
@@ -257,6 +266,12 @@ class _Collector:
         is_registered = table.kind in names("likelihood")
         prepared = self._options("observation", f"{place}.observation", table.kind, observation) if is_registered else None
         return LikelihoodDefinition(table.kind, read, prepared)
+
+    def repeated(self, key: str, kinds: list[str]) -> None:
+        """Report a kind that stands in two tables, where there may be one of each."""
+        for kind in dict.fromkeys(kind for kind in kinds if kinds.count(kind) > 1):
+            remedy = "put its options in one table"
+            self.sentences.append(str(input_error(f"{self.subject}: {key}", f"two tables of the kind '{kind}'", "one of each kind", remedy)))
 
     def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
         term = self.attempt(lambda: find(room, kind), f"{self.subject}: {place}.kind: ")

@@ -7,6 +7,7 @@ pose was found in pictures, $s_0$ is one of several equally likely poses. What t
 of the motion prior (`Transition.first`).
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from bayes_body.base.shapes import Key, Keys, Pose
 from bayes_body.density.factor import State, Transition, draw
 from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import FirstTable
-from bayes_body.model.dynamics.diffusion import TruncatedWalk, known_deviations
+from bayes_body.model.dynamics.diffusion import TruncatedWalk, by_dof, known_deviations
 
 
 class First(NamedTuple):
@@ -34,6 +35,7 @@ class First(NamedTuple):
         transition: the motion prior, whose `begin` makes a state of a pose.
         mode: the state of the most likely pose.
         draws: poses that are equally likely and take the place of `pose`, if there are any.
+        rest: the angle about which a dof is drawn in place of `pose` and `draws`; NaN for the others. None: there is no such dof.
     """
 
     pose: Pose
@@ -43,6 +45,7 @@ class First(NamedTuple):
     transition: Transition
     mode: State
     draws: Float[Array, "draw dof"] | None = None
+    rest: Pose | None = None
 
     @property
     def is_point(self) -> bool:
@@ -56,7 +59,7 @@ class First(NamedTuple):
     def make_certain(self, state: State) -> "First":
         """Return the distribution of one certain state."""
         settled = replace(self.transition, first=None)
-        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None)
+        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None, rest=None)
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
@@ -77,6 +80,8 @@ class First(NamedTuple):
 
     def draw_near(self, key: Key, pose: Pose) -> State:
         """Draw a state near a pose."""
+        if self.rest is not None:
+            pose = jnp.where(jnp.isnan(self.rest), pose, self.rest)
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
         state = self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
@@ -100,4 +105,7 @@ def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) 
     topology = body.skeleton.topology
     deviations = known_deviations(table.sd_deg, table.sd_m, topology, "first.")
     sd = device_array([deviations.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
-    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}))
+    angles = tuple(name for name, unit in zip(topology.dof_names, topology.dof_units, strict=True) if unit == "rad")
+    rest_deg = by_dof(table.rest_deg, angles, "first.rest_deg")
+    rest = device_array([math.radians(rest_deg.get(name, math.nan)) for name in topology.dof_names], body.lengths.dtype) if rest_deg else None
+    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}), rest=rest)

@@ -30,6 +30,7 @@ def definition_schema() -> dict[str, Any]:
         "likelihood": {"type": "array", "minItems": 1, "items": document.terms("likelihood")},
         "constraint": potentials,
         "potential": potentials,
+        "unknown": {"type": "array", "items": document.terms("unknown")},
         "kernel": document.terms("kernel"),
     }
     return {

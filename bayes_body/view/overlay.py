@@ -26,6 +26,7 @@ from bayes_body.recording.observation.pictures import read_colour
 from bayes_body.recording.session.session import Session, View
 from bayes_body.results.metrics.fit import Outline, outlines, seen_in
 from bayes_body.results.posterior import CentralPose, central_pose, equal_weight_poses
+from bayes_body.results.posterior.weighted import settled
 from bayes_body.tracking.draws import Draws, FrameResult
 from bayes_body.view.colours import bgr, over_image
 from bayes_body.view.video import h264_video
@@ -62,18 +63,20 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     frames = len(draws.frames)
     stills = _stills(folder, frames, session.first_frame)
     remove_partial(make_folder(folder / "overlay"))
-    central = [central_of(result, draws.model.body) for result in draws.frames]
-    windows = person_windows(session, draws.model, np.stack([body.pose for body in central]))
+    # What is known at the end about the body and the cameras, so that the windows do not jump.
+    model = settled(draws.model, draws.frames[frames - 1])
+    central = [central_of(result, model.body) for result in draws.frames]
+    windows = person_windows(session, model, np.stack([body.pose for body in central]))
     large = [window.scaled(STILL_HEIGHT) for window in windows]
     with drawable(folder / VIDEO), replacing(folder / VIDEO) as partial, ExitStack() as video:
         write = None
         for index in watch(range(frames)):
-            fan = _fan(draws.frames[index], index, draws.model.body.variable)
-            picture = mosaic(session, draws.model, index, central[index], fan, windows)
+            fan = _fan(draws.frames[index], index, model.body.variable)
+            picture = mosaic(session, model, index, central[index], fan, windows)
             write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
             write(picture)
             if index in stills:
-                write_png(stills[index], mosaic(session, draws.model, index, central[index], fan, large))
+                write_png(stills[index], mosaic(session, model, index, central[index], fan, large))
     return [folder / VIDEO, *stills.values()]
 
 

@@ -18,7 +18,7 @@ are then unlikely but not impossible, and the density is still normalised.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -79,28 +79,36 @@ class Detections:
         return jnp.sum(self.log_densities(self.expected(points), pixels, confidence))
 
     def log_densities(
-        self, expected: Float[Array, "camera point 2"], pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"]
+        self,
+        expected: Float[Array, "camera point entry"],
+        pixels: Float[Array, "camera point 2"],
+        confidence: Float[Array, "camera point"],
     ) -> Float[Array, "camera point"]:
-        """Return the log-density of each point's pixels, normalised, given the expected pixels; 0 for a point that is not present."""
+        """Return the log-density of each point's pixels, normalised, given the expected pixels; 0 for a point that is not present.
+
+        A third entry of `expected` is the log of a factor of the standard deviation.
+        """
         present = confidence > self.least_confidence
         # Absent data may be NaN. Without this, a `where` around the density would still let NaN into the gradient.
         pixels, confidence = jnp.where(present[..., None], pixels, 0.0), jnp.where(present, confidence, 1.0)
         return jnp.where(present, self._log_densities(pixels, confidence, expected), 0.0)
 
-    def expected(self, points: Float[Array, "point 3"]) -> Float[Array, "camera point 2"]:
-        """Return the expected pixels of points in each camera."""
+    def expected(self, points: Float[Array, "*camera point 3"]) -> Float[Array, "camera point 2"]:
+        """Return the expected pixels of points in each camera; the points may differ between cameras."""
 
-        def pixels_of(camera: Camera) -> Float[Array, "point 2"]:
+        def pixels_of(camera: Camera, points: Float[Array, "point 3"]) -> Float[Array, "point 2"]:
             pixels, visible = project(camera, points)
             return jnp.where(visible[:, None], pixels, camera.size / 2 - BEHIND * jnp.sqrt(jnp.sum(camera.size**2)))
 
-        return jax.vmap(pixels_of)(self.rig)
+        return jax.vmap(pixels_of, (0, 0 if points.ndim == 3 else None))(self.rig, points)
 
     def _log_densities(
-        self, pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"], expected: Float[Array, "camera point 2"]
+        self, pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"], expected: Float[Array, "camera point entry"]
     ) -> Float[Array, "camera point"]:
         variance = self._sd(confidence) ** 2
-        squares = jnp.sum((pixels - expected) ** 2, axis=-1) / variance
+        if expected.shape[-1] > 2:
+            variance = variance * jnp.exp(2 * expected[..., 2])
+        squares = jnp.sum((pixels - expected[..., :2]) ** 2, axis=-1) / variance
         nu = self.degrees_of_freedom
         fall = 0.5 * squares if self.noise == "gaussian" else 0.5 * (nu + 2) * jnp.log1p(squares / nu)
         inlier = -fall - jnp.log(2 * math.pi * variance)
@@ -117,9 +125,9 @@ class Detections:
         return jnp.all((pixels >= -0.5) & (pixels <= self.rig.size[:, None] - 0.5), axis=-1)
 
     def draw(
-        self, key: Key, points: Float[Array, "point 3"], confidence: Float[Array, "camera point"] | None = None
+        self, key: Key, points: Float[Array, "*camera point 3"], confidence: Float[Array, "camera point"] | None = None
     ) -> Float[Array, "camera point 2"]:
-        """Draw pixels of points, with the given confidence, by default 1."""
+        """Draw pixels of points, which may differ between cameras, with the given confidence, by default 1."""
         noise, spread, choice, place = jax.random.split(key, 4)
         expected = self.expected(points)
         shape, dtype = expected.shape[:2], expected.dtype
@@ -157,7 +165,7 @@ class Options(Schema):
     """when frames are drawn: the fraction of markers that a camera misses."""
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections", "ahead", "log_scale"])
 @dataclass(frozen=True)
 class MarkersGaussian:
     """The distribution of the pixels of a whole body's markers, as a pytree.
@@ -167,29 +175,39 @@ class MarkersGaussian:
         places: their indices in `MARKERS`.
         body: the body.
         detections: the density of each marker.
+        ahead: what the configuration changes by until each camera sees it; None if all cameras see it at the same time.
+        log_scale: log of a factor of each camera's standard deviation; None for 1.
     """
 
     markers: tuple[int, ...]
     places: tuple[int, ...]
     body: Body
     detections: Detections
+    ahead: Float[Array, "camera dof"] | None = None
+    log_scale: Float[Array, " camera"] | None = None
 
     @property
     def log_potential(self) -> Composed:
         """log p(z | configuration), normalised."""
         return Composed(jax.tree_util.Partial(_expected, self), jax.tree_util.Partial(_log_densities, self))
 
-    def expected(self, configuration: Configuration) -> Float[Array, "camera present 2"]:
-        """Return the expected pixels of the body's markers."""
+    def expected(self, configuration: Configuration) -> Float[Array, "camera present entry"]:
+        """Return the expected pixels of the body's markers, and the log of a factor of their noise if there is one."""
         # If a marker is behind a camera, its expected place does not depend on the configuration, which would hide a NaN.
-        return _nan_with(configuration, self.detections.expected(self._points(configuration)))
+        pixels = _nan_with(configuration, self.detections.expected(self._points(configuration)))
+        if self.log_scale is None:
+            return pixels
+        return jnp.concatenate([pixels, jnp.broadcast_to(self.log_scale[:, None, None], (*pixels.shape[:2], 1))], axis=-1)
 
-    def _points(self, configuration: Configuration) -> Float[Array, "present 3"]:
-        return placed_markers(self.body, configuration)[list(self.markers), :]
+    def _points(self, configuration: Configuration) -> Float[Array, "*camera present 3"]:
+        if self.ahead is None:
+            return placed_markers(self.body, configuration)[list(self.markers), :]
+        return jax.vmap(lambda step: placed_markers(self.body, configuration + step)[list(self.markers), :])(self.ahead)
 
     def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""
-        return self.detections.draw(key, self._points(configuration))
+        scale = 1.0 if self.log_scale is None else jnp.exp(self.log_scale)
+        return replace(self.detections, sd_px=self.detections.sd_px * scale).draw(key, self._points(configuration))
 
     def by_parts(self) -> Plate:
         """The same log-potential as a plate over the parts that hold visible markers; for a body that is placed by parts."""
@@ -209,12 +227,12 @@ class MarkersGaussian:
         return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
 
 
-def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "camera present 2"]:
+def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "camera present entry"]:
     return potential.expected(values[Variable(potential.body.variable)])
 
 
 def _log_densities(
-    potential: MarkersGaussian, expected: Float[Array, "camera present 2"], evidence: MarkerEvidence
+    potential: MarkersGaussian, expected: Float[Array, "camera present entry"], evidence: MarkerEvidence
 ) -> Float[Array, "camera present"]:
     pixels, confidence = (jnp.asarray(array)[:, list(potential.places)] for array in evidence)
     return potential.detections.log_densities(expected, pixels, confidence)

@@ -14,12 +14,14 @@ from bayes_body.base.registry import Room
 from bayes_body.density.factor import Data, Factor, State, Transition, Variables, variables
 from bayes_body.model.plugins.blame import Own
 from bayes_body.model.plugins.terms import shown
+from bayes_body.model.unknowns.unknown import Unknown
 
 # What each room's build function returns, in the user's terms.
 MADE = {
     "likelihood": "a Factor",
     "potential": "a Factor",
     "dynamics": "a Transition",
+    "unknown": "an Unknown",
     "observation": "a function of a frame",
     "kernel": "a function (key, particles, density)",
 }
@@ -37,7 +39,7 @@ def checked_term(room: Room, term: Any, name: str, subject: str) -> Any:
     Raises:
         InputError: it has the wrong type, or a factor has a different name or the wrong side.
     """
-    kind = {"likelihood": Factor, "potential": Factor, "dynamics": Transition}.get(room)
+    kind = {"likelihood": Factor, "potential": Factor, "dynamics": Transition, "unknown": Unknown}.get(room)
     if not (isinstance(term, kind) if kind else callable(term)):
         raise input_error(f"{subject}: its build function", f"returns {shown(term)}", MADE[room], "return one")
     if isinstance(term, Factor):

@@ -14,6 +14,7 @@ from bayes_body.density.density import Density
 from bayes_body.density.factor import Factor, Particles, Transition
 from bayes_body.density.kernel import FilterInfo
 from bayes_body.model.plugins.blame import Origin, Own, first_line
+from bayes_body.model.unknowns.unknown import Unknown
 
 # Functions of a transition that return variables by name.
 BY_NAME = ("conditional", "perturbation", "carry", "begin", "first", "derive", "explore")
@@ -38,6 +39,8 @@ def owned(origin: Origin, term: Any) -> Any:
     if isinstance(term, Transition):
         checks = dict.fromkeys(BY_NAME, _by_name) | {"chart": None}
         return replace(term, **{name: _wrapped(origin, getattr(term, name), check) for name, check in checks.items()})
+    if isinstance(term, Unknown):
+        return replace(term, change=_wrapped(origin, term.change, None))
     return OwnKernel(origin, term) if origin.room == "kernel" else OwnObserver(origin, term)
 
 

@@ -15,9 +15,8 @@ from bayes_body.results.clinical.conventions import Side
 from bayes_body.results.clinical.gait import low_pass
 from bayes_body.results.clinical.joints import Joint, joint_frames, joints_of
 from bayes_body.results.clinical.moments import laboratory_of
-from bayes_body.results.posterior.blocks import pooled, pose_blocks
-from bayes_body.results.posterior.weighted import markers
-from bayes_body.results.storage.saved_moments import of_each
+from bayes_body.results.posterior.blocks import placing_blocks, pooled, pose_blocks
+from bayes_body.results.storage.saved_moments import markers_of_each, of_each
 from bayes_body.results.storage.saved_run import SavedRun
 
 if TYPE_CHECKING:
@@ -67,10 +66,11 @@ def marker_paths(run: SavedRun, names: Sequence[str]) -> Float[np.ndarray, "draw
         raise input_error(f"the body '{run.model.body.name}'", f"no marker {', '.join(missing)}", "one", "add it to the body file's [markers]")
     places = [marker_names.index(name) for name in names]
     paths = []
-    for piece in pose_blocks(run.tree, width=3 * len(marker_names), variable=run.model.body.variable):
-        poses = pooled(piece.poses)
-        chosen = poses[:, _evenly(poses.shape[1], MOST_DRAWS)]
-        paths.append(of_each(chosen, lambda chunk: markers(run.model, chunk))[:, :, places])
+    for piece, changes in placing_blocks(run.tree, run.model.placing, width=3 * len(marker_names)):
+        runs, draws = piece.poses.shape[:2]
+        chosen = np.unravel_index(_evenly(runs * draws, MOST_DRAWS), (runs, draws))
+        poses, *others = (values[chosen][None] for values in (piece.poses, *changes.values()))
+        paths.append(markers_of_each(run, poses, dict(zip(changes, others, strict=True)))[:, :, places])
     return np.swapaxes(np.concatenate(paths), 0, 1)
 
 

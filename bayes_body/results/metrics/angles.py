@@ -110,7 +110,7 @@ def angles_against_truth(model: Model, clouds: Clouds, truth: TrueAngles) -> Ang
     errors, inside = [], np.zeros((len(LEVELS), true_deg.shape[1]), int)
     for cloud, frame_deg in zip(clouds(), true_deg, strict=True):
         error = []
-        for poses, log_weights in zip(*cloud, strict=True):
+        for poses, log_weights in zip(cloud.poses, cloud.log_weights, strict=True):
             weights = weights_of(log_weights)
             off = (angles_of(poses) - frame_deg + TURN / 2) % TURN - TURN / 2
             error.append(weights @ off)

@@ -1,6 +1,7 @@
 """The particles of a recording, frame by frame, as they are compared with the truth."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +9,17 @@ from jaxtyping import Float
 
 
 class Cloud(NamedTuple):
-    """The particles of one frame: poses in radians and metres, or values of another variable that places the body, and their log-weights."""
+    """The particles of one frame.
+
+    Attributes:
+        poses: in radians and metres, or values of another variable that places the body.
+        log_weights: their log-weights.
+        changes: values of the unknowns that change the body (`Model.placing`), by name.
+    """
 
     poses: Float[np.ndarray, "run particle *shape"]
     log_weights: Float[np.ndarray, "run particle"]
+    changes: Mapping[str, Float[np.ndarray, "run particle entry"]] = MappingProxyType({})
 
 
 type Clouds = Callable[[], Iterable[Cloud]]

@@ -28,6 +28,7 @@ from bayes_body.recording.observation.frames import Frame, cameras_with_picture,
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
 from bayes_body.results.posterior import markers, mean_pose
+from bayes_body.results.posterior.weighted import settled
 from bayes_body.tracking.draws import Draws, FrameResult
 
 POINTS = 24
@@ -139,6 +140,7 @@ def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched)
 
 def result_fit(session: Session, model: Model, result: FrameResult, index: int, to_judge: bool = False) -> Fit:
     """Return the fit of each run's mean pose to the frame that was tracked; `to_judge` as in `frame_fit`."""
+    model = settled(model, result)
     return frame_fit(session, model, mean_pose(result, model), index, np.asarray(result.seen).tolist(), to_judge)
 
 

@@ -22,8 +22,9 @@ from bayes_body.results.metrics.figures import accuracy_figures
 from bayes_body.results.metrics.fit import Fit, frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.truth import draws_against_truth
-from bayes_body.results.posterior import frame_rhat, markers, mean_pose
+from bayes_body.results.posterior import frame_rhat, markers
 from bayes_body.results.posterior.blocks import log_mean_exp
+from bayes_body.results.posterior.weighted import mean_state
 from bayes_body.tracking.draws import Draws, FrameResult
 
 
@@ -33,7 +34,8 @@ def marker_disagreement(draws: Draws) -> float:
 
 
 def _disagreement(model: Model, frame: FrameResult) -> float:
-    positions = markers(model, mean_pose(frame, model))
+    means = mean_state(frame, model)
+    positions = markers(model, means.pop(model.body.variable), **means)
     pairs = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(positions, 2)]
     return float(np.mean(pairs)) if pairs else float("nan")
 

@@ -9,7 +9,7 @@ is fitted on every other frame and added to the body's marker in the frames betw
 it contributed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -131,7 +131,8 @@ def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched
 
 def _cloud(draws: Draws, index: int) -> Cloud:
     frame = draws.frames[index]
-    return Cloud(frame.states[draws.model.body.variable], frame.log_weights)
+    variable, *others = draws.model.placing
+    return Cloud(frame.states[variable], frame.log_weights, {name: frame.states[name] for name in others})
 
 
 def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"], angles: TrueAngles | None = None) -> AgainstTruth | None:
@@ -180,7 +181,9 @@ def _accuracy(
     fold_truth = np.where(np.isfinite(offsets[folds]), truth, np.nan)
     for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
         noise = rng.standard_normal(true.shape) if scored else None
-        runs = [_of_run(moved[fold], *particles, true, noise) for particles in zip(*cloud, strict=True)]
+        changes = [{name: values[run] for name, values in cloud.changes.items()} for run in range(len(cloud.poses))]
+        particles = zip(cloud.poses, cloud.log_weights, changes, strict=True)
+        runs = [_of_run(moved[fold], *run_particles, true, noise) for run_particles in particles]
         inside = inside + np.sum([run.accuracy.inside for run in runs], axis=(0, -1))
         by_frame.append(_stacked(runs))
         scores.append([run.scores for run in runs])
@@ -206,11 +209,12 @@ def _of_run(
     model: Model,
     poses: Float[np.ndarray, "particle *shape"],
     log_weights: Float[np.ndarray, " particle"],
+    changes: Mapping[str, Float[np.ndarray, "particle entry"]],
     truth: Float[np.ndarray, "marker 3"],
     noise: Float[np.ndarray, "marker 3"] | None,
 ) -> _Run:
     weights = weights_of(log_weights)
-    positions, marker_set = markers(model, poses), model.body.markers
+    positions, marker_set = markers(model, poses, **changes), model.body.markers
     mean = configuration_space(model.body).mean(weights, poses)
     turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
     accuracy = frame_accuracy(positions, weights, truth, marker_set.names)

@@ -89,6 +89,25 @@ def pose_blocks(
         yield Block(piece, np.asarray(pose.isel(frame=places), float), np.asarray(log_weight.isel(frame=places), float))
 
 
+def placing_blocks(
+    tree: "xr.DataTree", placing: tuple[str, ...], frames: range | None = None, block: int = BLOCK, width: int | None = None
+) -> Iterator[tuple[Block, dict[str, NDArray[np.floating]]]]:
+    """Yield the blocks of the variable that places the body, each with the values of the unknowns that change the body, by name.
+
+    Args:
+        tree: as for `pose_blocks`.
+        placing: `Model.placing`.
+        frames: as for `pose_blocks`.
+        block: as for `pose_blocks`.
+        width: as for `pose_blocks`.
+    """
+    variable, *others = placing
+    width = width or tree["posterior"][variable].isel(chain=0, draw=0, frame=0).size
+    by_name = (pose_blocks(tree, frames, block, width, name) for name in placing)
+    for first, *changes in zip(*by_name, strict=True):
+        yield first, {name: change.poses for name, change in zip(others, changes, strict=True)}
+
+
 def coordinate_blocks(
     tree: "xr.DataTree", frames: range | None = None, block: int = BLOCK, spaces: Mapping[str, Space] | None = None
 ) -> Iterator[Block]:

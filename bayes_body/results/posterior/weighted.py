@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from bayes_body.base.errors import input_error
+from bayes_body.density.factor import State, variables
 from bayes_body.density.spaces import Space
 from bayes_body.model.body.placed_body import placed_markers
-from bayes_body.model.body.solids import configuration_space
+from bayes_body.model.body.solids import Body, configuration_space
 from bayes_body.model.build import Model
+from bayes_body.model.unknowns.apply import Unknowns, with_changes
 from bayes_body.results.posterior.agreement import FEWEST_DRAWS, split_rhat
 from bayes_body.results.posterior.blocks import around_mean
 from bayes_body.results.posterior.layout import WEIGHTS
@@ -26,7 +28,13 @@ from bayes_body.tracking.draws import Draws, FrameResult
 if TYPE_CHECKING:
     import xarray as xr
 
-_positions = jax.jit(jax.vmap(placed_markers, (None, 0)))
+
+@jax.jit
+def _positions(body: Body, terms: Unknowns, values: State) -> Float[Array, "draw marker 3"]:
+    def positions(state: State) -> Float[Array, "marker 3"]:
+        return placed_markers(with_changes(terms, body, variables(state)), state[body.variable])
+
+    return jax.vmap(positions)(values)
 
 
 def mean_pose(frame: FrameResult, model: Model) -> Float[np.ndarray, "run *shape"]:
@@ -39,11 +47,34 @@ def mean_poses(draws: Draws) -> Float[np.ndarray, "run frame *shape"]:
     return np.stack([mean_pose(frame, draws.model) for frame in draws.frames], axis=1)
 
 
-def markers(model: Model, poses: Float[np.ndarray, "*batch_and_shape"]) -> Float[np.ndarray, "*batch marker 3"]:
-    """Return the positions of the virtual markers of an array of poses, or of values of another variable that places the body, metres."""
+def settled(model: Model, frame: FrameResult) -> Model:
+    """Return the model with the body and the cameras at their posterior mean in a frame, the mean of all runs."""
+    means = {term.name: jnp.asarray(weighted_mean(frame, term.name, term.space).mean(axis=0), term.mean.dtype) for term in model.unknowns}
+    return model.settled(means)
+
+
+def mean_state(frame: FrameResult, model: Model) -> dict[str, Float[np.ndarray, "run *shape"]]:
+    """Return the weighted means of each run of the variables on which the markers depend (`Model.placing`)."""
+    spaces = {term.name: term.space for term in model.unknowns}
+    others = {name: weighted_mean(frame, name, spaces[name]) for name in model.placing[1:]}
+    return {model.body.variable: mean_pose(frame, model), **others}
+
+
+def markers(
+    model: Model, poses: Float[np.ndarray, "*batch_and_shape"], **changes: Float[np.ndarray, "*batch entry"]
+) -> Float[np.ndarray, "*batch marker 3"]:
+    """Return the positions of the virtual markers, metres.
+
+    Args:
+        model: the model.
+        poses: poses, or values of another variable that places the body.
+        changes: values of the unknowns that change the body (`Model.placing`), by name. Without them, the body is the subject's.
+    """
     shape = configuration_space(model.body).shape
     batch = poses.shape[: poses.ndim - len(shape)]
-    positions = np.asarray(_positions(model.body, jnp.asarray(poses.reshape(-1, *shape))))
+    terms = tuple(term for term in model.unknowns if term.name in changes)
+    flat = {name: jnp.asarray(values.reshape(-1, values.shape[-1])) for name, values in changes.items()}
+    positions = np.asarray(_positions(model.body, terms, {model.body.variable: jnp.asarray(poses.reshape(-1, *shape)), **flat}))
     return positions.reshape(*batch, *positions.shape[1:])
 
 

@@ -173,7 +173,8 @@ def places_of(definition: Definition, kernel: str) -> set[Place]:
     constraints: list[Place] = [("potential", term.kind) for term in definition.constraints]
     rooms: tuple[Room, ...] = ("likelihood", "observation")
     likelihoods: list[Place] = [(room, term.kind) for term in definition.likelihoods for room in rooms]
-    return {("dynamics", definition.dynamics.kind), ("kernel", kernel), *constraints, *likelihoods}
+    unknowns: list[Place] = [("unknown", term.kind) for term in definition.unknowns]
+    return {("dynamics", definition.dynamics.kind), ("kernel", kernel), *constraints, *likelihoods, *unknowns}
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:

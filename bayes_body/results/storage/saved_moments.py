@@ -1,6 +1,6 @@
 """Mean, standard deviation and quantiles of a saved run's markers and joint angles, read from its posterior a block of frames at a time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.model.body.solids import configuration_space
-from bayes_body.results.posterior.blocks import BLOCK, pooled, pose_blocks, weights_of_runs
+from bayes_body.results.posterior.blocks import BLOCK, placing_blocks, pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.moments import Moments, MomentsAndMedian, moments_in, weighted_moments
 from bayes_body.results.posterior.weighted import markers
 from bayes_body.results.storage.saved_run import SavedRun
@@ -31,19 +31,34 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
     if not run.model.body.markers.names:
         raise input_error(f"the body '{run.model.body.name}'", "no virtual markers", "at least one", "give the body file a table [markers]")
 
-    def place(poses: Float[np.ndarray, "frame draw *shape"], weights: Float[np.ndarray, "frame draw"]) -> Moments:
-        return weighted_moments(of_each(poses, lambda chunk: markers(run.model, chunk)), weights)
+    moments = []
+    for piece, changes in placing_blocks(run.tree, run.model.placing, frames, block, 3 * len(run.model.body.markers.names)):
+        weights = pooled(weights_of_runs(piece.log_weights)) / piece.poses.shape[0]
+        moments.append(weighted_moments(markers_of_each(run, piece.poses, changes), weights))
+    return Moments(*(np.concatenate(parts) for parts in zip(*moments, strict=True)))
 
-    return moments_of(run, frames, block, 3 * len(run.model.body.markers.names), place)
+
+def markers_of_each(
+    run: SavedRun, poses: Float[np.ndarray, "run draw frame *shape"], changes: Mapping[str, Float[np.ndarray, "run draw frame entry"]]
+) -> Float[np.ndarray, "frame draw marker 3"]:
+    """Return the markers of all draws of all runs, metres. Poses and changes are those of `placing_blocks`, or some of their draws."""
+    names = tuple(changes)
+
+    def positions(*chunk: Float[np.ndarray, "chunk *shape"]) -> NDArray[np.floating]:
+        return markers(run.model, chunk[0], **dict(zip(names, chunk[1:], strict=True)))
+
+    return of_each(pooled(poses), positions, *(pooled(changes[name]) for name in names))
 
 
 def of_each(
-    poses: Float[np.ndarray, "frame draw *shape"], function: Callable[[Float[np.ndarray, "chunk *shape"]], NDArray[np.floating]]
+    poses: Float[np.ndarray, "frame draw *shape"], function: Callable[..., NDArray[np.floating]], *others: Float[np.ndarray, "frame draw entry"]
 ) -> Float[np.ndarray, "frame draw *of"]:
-    """Return a compiled function's values of each configuration; it gets CHUNK of them at a time."""
-    flat = poses.reshape(-1, *poses.shape[2:])
+    """Return a compiled function's values of each configuration, and of `others`; it gets CHUNK of them at a time."""
+    flat = [values.reshape(-1, *values.shape[2:]) for values in (poses, *others)]
     # All pieces have the same shape: a shorter last one would need another compilation.
-    values = np.concatenate([function(_padded(flat[start : start + CHUNK])) for start in range(0, len(flat), CHUNK)])[: len(flat)]
+    count = len(flat[0])
+    pieces = [function(*(_padded(values[start : start + CHUNK]) for values in flat)) for start in range(0, count, CHUNK)]
+    values = np.concatenate(pieces)[:count]
     return values.reshape(*poses.shape[:2], *values.shape[1:]).astype(float)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.base.errors import escaped, input_error
@@ -127,6 +128,18 @@ class SavedRun:
         if not self.first_pose:
             return model
         return apply_first_pose(model, self.session, restored(model, self.first_pose, f"{self.folder / RUN_FILE}: first_pose"))
+
+    @cached_property
+    def settled_model(self) -> Model:
+        """The model with the body and the cameras at their posterior mean in the last frame, which knows all images of a filter; for pictures.
+
+        Raises:
+            InputError: as for `model`.
+        """
+        group, weights = self.tree["posterior"], np.exp(np.asarray(self.tree["sample_stats"]["log_weight"].isel(frame=-1), float))
+        weights = weights / weights.sum()
+        means = {term.name: np.tensordot(weights, np.asarray(group[term.name].isel(frame=-1), float), 2) for term in self.model.unknowns}
+        return self.model.settled({name: jnp.asarray(mean, self.model.body.lengths.dtype) for name, mean in means.items()})
 
     @cached_property
     def spaces(self) -> dict[str, Space]:

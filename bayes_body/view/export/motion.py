@@ -174,7 +174,7 @@ def read_motion(
         dof_units=units,
         dofs=dofs,
         lost=lost_frames(run),
-        body=run.model.body,
+        body=run.settled_model.body,
         order=order,
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         first_frame=run.first_frame,

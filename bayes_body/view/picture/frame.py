@@ -135,7 +135,7 @@ def write_picture(
     if camera is not None and camera not in names:
         raise input_error("--camera", f"no camera '{camera}'", f"one of {', '.join(names)}", "name one of them")
     c = 0 if camera is None else names.index(camera)
-    model = seen_in(run.model, run.session, frame)
+    model = seen_in(run.settled_model, run.session, frame)
     central, fan = _posterior(run, frame, 0 if run.mode_seeker else draws)
     image, note = run_backdrop(run, frame, c)
     strong, thin = outlines(model, central.pose)[c], [part for pose in fan for part in outlines(model, pose)[c]]
@@ -155,7 +155,7 @@ def _posterior(run: "SavedRun", frame: int, count: int) -> tuple[CentralPose, Fl
     (piece,) = pose_blocks(run.tree, range(frame, frame + 1), variable=run.model.body.variable)
     weights, poses = pooled(weights_of_runs(piece.log_weights))[0], pooled(piece.poses)[0]
     chosen = systematic_resampling(np.random.default_rng([RESAMPLING_SEED, frame]), weights, count)
-    return central_pose(run.model.body, poses, weights), poses[chosen]
+    return central_pose(run.settled_model.body, poses, weights), poses[chosen]
 
 
 def _crop(strong: list[Outline], thin: list[Outline], size_px: tuple[int, int], whole_image: bool) -> Crop:

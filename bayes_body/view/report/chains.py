@@ -118,7 +118,7 @@ def _autocorrelations(inspection: Inspection, mixing: Mixing, draws: Float[np.nd
 def _path(inspection: Inspection, mixing: Mixing, frame: int) -> Picture:
     """Return the picture of a chain's path: outlines of evenly spaced states over the image of the first camera that saw the frame."""
     session = inspection.run.session
-    model = seen_in(inspection.run.model, session, frame)
+    model = seen_in(inspection.run.settled_model, session, frame)
     (block,) = pose_blocks(inspection.run.tree, range(frame, frame + 1), variable=model.body.variable)
     chain = by_chain(block.poses[:1], mixing.length)[0, 0, :, 0]
     shown = _camera(inspection, frame)

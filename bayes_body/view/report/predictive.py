@@ -207,7 +207,7 @@ def _stacked[Check: tuple[np.ndarray, ...]](kind: Callable[..., Check], checks: 
 
 def moment(run: "SavedRun", index: int) -> Moment:
     """Return one frame of the run with its draws."""
-    model = seen_in(run.model, run.session, index)
+    model = seen_in(run.settled_model, run.session, index)
     (piece,) = pose_blocks(run.tree, range(index, index + 1), variable=model.body.variable)
     weights, poses = pooled(weights_of_runs(piece.log_weights))[0], pooled(piece.poses)[0]
     if run.mode_seeker:

@@ -13,7 +13,7 @@ from bayes_body.results.metrics.calibration import CERTAIN, NOMINAL, Scores, cal
 from bayes_body.results.metrics.clouds import Cloud, Clouds
 from bayes_body.results.metrics.figures import accuracy_figures, width
 from bayes_body.results.metrics.truth import Accuracy, AgainstTruth, against_truth, mean_known, true_markers
-from bayes_body.results.posterior.blocks import pose_blocks
+from bayes_body.results.posterior.blocks import placing_blocks
 from bayes_body.view.colours import GREY, INK, run_line
 from bayes_body.view.report.bands import sparse_frames
 from bayes_body.view.report.figures import encoded, frames_a_point, new_panel, point_marks, run_label, time_label
@@ -95,8 +95,10 @@ def measured(run: "SavedRun") -> AgainstTruth | None:
 
 def _clouds(run: "SavedRun", frames: range) -> Clouds:
     def call() -> Iterator[Cloud]:
-        for piece in pose_blocks(run.tree, frames, variable=run.model.body.variable):
-            yield from (Cloud(piece.poses[:, :, place], piece.log_weights[:, :, place]) for place in range(len(piece.frames)))
+        for piece, changes in placing_blocks(run.tree, run.model.placing, frames):
+            for place in range(len(piece.frames)):
+                values = {name: change[:, :, place] for name, change in changes.items()}
+                yield Cloud(piece.poses[:, :, place], piece.log_weights[:, :, place], values)
 
     return call
 

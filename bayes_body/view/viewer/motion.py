@@ -55,7 +55,7 @@ def read_poses(run: "SavedRun", frames: range, draws: int) -> Iterator[Pose]:
     Raises:
         InputError: the body cannot be used.
     """
-    body = run.model.body
+    body = run.settled_model.body
     offset = np.random.default_rng(RESAMPLING_SEED).random()
     blocks = pose_blocks(run.tree, frames, variable=body.variable)
     points: Iterator[tuple[np.ndarray, np.ndarray]] = (

@@ -92,7 +92,7 @@ def _thinned(frames: range, step: int) -> Iterator[str]:
 
 def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side: int, remarks: Sequence[str], watch: Watch) -> str:
     """Return the page's HTML."""
-    body, fps, up = run.model.body, run.fps, run.session.up
+    body, fps, up = run.settled_model.body, run.fps, run.session.up
     # The first look needs the whole path. The budget keeps all of this small.
     poses = list(read_poses(run, frames, draws))
     with deaf_server() as server:

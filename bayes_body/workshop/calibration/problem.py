@@ -17,12 +17,13 @@ from jaxtyping import Array, Float
 from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Flag, Index, Key, Scalar
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Factor, Particles, State, Transition
+from bayes_body.density.factor import Factor, Particles, State, Transition, draw
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
+from bayes_body.model.unknowns.unknown import Unknown, prior_draws
 
 # Number of rejected paths after which a case is given up.
 MOST_PATHS = 1000
@@ -39,7 +40,7 @@ class Quantities:
     compute: Callable[[State], Float[Array, " quantity"]]
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["wandering"], data_fields=["transition", "factors", "first", "quantities"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["wandering"], data_fields=["transition", "factors", "first", "quantities", "unknowns"])
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A model for the harness. It is a pytree, so a compiled program takes its arrays as arguments instead of constants.
@@ -50,6 +51,7 @@ class Problem:
         first: the state from which a case's first state is drawn by `wandering` steps.
         quantities: the figures to rank; the log-likelihood is added to them.
         wandering: steps of the motion prior from `first` to a case's first state. The filter knows that state, so its distribution does not matter.
+        unknowns: the variables of a case's first state that the filter does not know: they are drawn from their prior.
     """
 
     transition: Transition
@@ -57,10 +59,20 @@ class Problem:
     first: State
     quantities: Quantities
     wandering: int = 10
+    unknowns: tuple[Unknown, ...] = ()
 
     def density(self, data: Any, previous: Particles) -> Density:
         """The posterior of a frame."""
         return Density(self.transition, self.factors, data, previous)
+
+    def start(self, key: Key, first: State, count: int) -> Particles:
+        """The particles before the first frame: all at the first state, but for the unknowns, which have their prior."""
+        particles = point_mass(first, count)
+        if not self.unknowns:
+            return particles
+        names = {term.name for term in self.unknowns}
+        others = {name: values for name, values in particles.states.items() if name not in names}
+        return particles._replace(states={**others, **prior_draws(key, self.unknowns, others)})
 
 
 class Case(NamedTuple):
@@ -84,12 +96,14 @@ def problem_of(model: Model, wandering: int = 10) -> Problem:
     """
     require(model.body, POSE, "a calibration of joint angles", "a model of a body that is placed by angles")
     names = (*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES))
-    quantities = jax.tree_util.Partial(_pose_and_markers, model.body)
-    return Problem(model.transition, model.factors, model.initial, Quantities(names, quantities), wandering)
+    names += tuple(f"{term.name} {label}" for term in model.unknowns for label in term.space.labels)
+    quantities = jax.tree_util.Partial(_pose_and_markers, model.body, model.unknowns)
+    return Problem(model.transition, model.factors, model.initial, Quantities(names, quantities), wandering, model.unknowns)
 
 
-def _pose_and_markers(body: Body, state: State) -> Float[Array, " quantity"]:
-    return jnp.concatenate([state["pose"], marker_positions(body.skeleton, body.markers, state["pose"]).reshape(-1)])
+def _pose_and_markers(body: Body, unknowns: tuple[Unknown, ...], state: State) -> Float[Array, " quantity"]:
+    markers = marker_positions(body.skeleton, body.markers, state["pose"])
+    return jnp.concatenate([state["pose"], markers.reshape(-1), *(state[term.name] for term in unknowns)])
 
 
 def point_mass(state: State, count: int = 1) -> Particles:
@@ -114,6 +128,9 @@ def draw_case(key: Key, problem: Problem, frames: int) -> Case:
     first_key, path_key, data_key = jax.random.split(key, 3)
     wandered = draw_path(first_key, problem, point_mass(problem.first), problem.wandering) if problem.wandering else None
     first = problem.first if wandered is None else jax.tree.map(lambda leaf: leaf[-1], wandered.states)
+    # Folded in, so that the cases of a problem without unknowns are as they were.
+    prior_key = jax.random.fold_in(key, 1)
+    first = {**first, **draw(prior_key, {term.name: term.prior() for term in problem.unknowns})} if problem.unknowns else first
     path = draw_path(path_key, problem, point_mass(first), frames)
     data = draw_data(data_key, problem, path)
     flags = [(trajectory.refused, trajectory.unbounded) for trajectory in (path, wandered) if trajectory is not None]

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.factor import Particles, State
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
-from bayes_body.workshop.calibration.problem import Case, Problem, draw_case, point_mass
+from bayes_body.workshop.calibration.problem import Case, Problem, draw_case
 
 # Effective particles required per bin of the ranks.
 DRAWS_A_BIN = 10
@@ -80,7 +80,7 @@ def replicate(problem: Problem, kernel: Kernel, particles: int, frames: int = 2,
 
 def _filtered(key: Key, problem: Problem, kernel: Kernel, case: Case, count: int) -> tuple[Particles, Particles, FilterInfo, Array]:
     """The particles before and after the last frame, its info, and whether any frame was lost."""
-    start = point_mass(case.first, count)
+    start = problem.start(jax.random.fold_in(key, 1), case.first, count)
 
     def frame(particles: Particles, key_and_data: tuple[Key, Any]) -> tuple[Particles, tuple[Particles, FilterInfo]]:
         frame_key, data = key_and_data

@@ -1,0 +1,79 @@
+r"""The cameras as unknowns: each is turned a little about its own centre and then moved, in its own axes,
+
+$$X_c' = e^{[\omega_c]_\times} (R_c X + t_c) + \tau_c, \qquad f_c' = f_c e^{\phi_c}, \qquad c_c' = c_c + \gamma_c.$$
+
+The priors of all cameras, around their calibration, fix the world: rig and person may still move together by what these priors allow, and no image
+shows it. A focal length is hardly told from a move along the optical axis, so it is known unless the definition says otherwise.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.registry import register
+from bayes_body.base.shapes import Rotation, Vector3
+from bayes_body.base.toml.schema import NonNegative, Positive, Schema
+from bayes_body.density.factor import Variables
+from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown
+
+NAME = "cameras"
+MOTION = ("turn_x", "turn_y", "turn_z", "move_x", "move_y", "move_z")
+
+
+class Options(Schema):
+    """Options of `[[unknown]] kind = "cameras"`: standard deviations about the calibration, for each camera and each axis."""
+
+    turn_sd_deg: Positive = 0.5
+    """[degrees] of a turn about the camera's centre."""
+    move_sd_m: Positive = 0.02
+    """[metres] of a move."""
+    focal_sd: NonNegative = 0.0
+    """relative, of the focal length; with 0 it is known."""
+    centre_sd_px: NonNegative = 0.0
+    """[pixels] of the principal point; with 0 it is known."""
+    lasts_s: Positive = 3600.0
+    """[s] after this time an error has faded to 37 %. A camera on a stand does not move."""
+
+
+def change(rig: Camera, value: Float[Array, " entry"], values: Variables) -> Camera:
+    """Return the cameras moved. Behind the six entries of a camera's motion there may be its focal length, and two of its principal point."""
+    del values
+    motion, others = jnp.split(value.reshape(rig.focal.shape[0], -1), [6], axis=1)
+    rig = jax.vmap(moved)(rig, motion)
+    if others.shape[1] in (1, 3):
+        rig = replace(rig, focal=rig.focal * jnp.exp(others[:, :1]))
+    return replace(rig, centre=rig.centre + others[:, -2:]) if others.shape[1] > 1 else rig
+
+
+def moved(camera: Camera, motion: Float[Array, "6"]) -> Camera:
+    """Return one camera turned about its centre, then moved along its own axes, radians and metres."""
+    R = rotation_of(motion[:3])
+    rotation = jnp.sum(R[:, :, None] * camera.rotation[None], axis=1)
+    return replace(camera, rotation=rotation, translation=jnp.sum(R * camera.translation, axis=1) + motion[3:])
+
+
+def rotation_of(turn: Vector3) -> Rotation:
+    """Return the rotation matrix of a rotation vector of less than some degrees: its series, which is smooth at 0, with an error of the 4th order."""
+    x, y, z = turn
+    zero = jnp.zeros_like(x)
+    cross = jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    square = jnp.sum(turn * turn)
+    return jnp.eye(3, dtype=turn.dtype) + (1 - square / 6) * cross + (0.5 - square / 24) * jnp.sum(cross[:, :, None] * cross[None], axis=1)
+
+
+@register("unknown", NAME, Options)
+def build(options: Options, setting: Setting, **_: Any) -> Unknown:
+    """Build the unknown for one rig."""
+    entries = [(name, "rad", math.radians(options.turn_sd_deg)) for name in MOTION[:3]] + [(name, "m", options.move_sd_m) for name in MOTION[3:]]
+    if options.focal_sd:
+        entries.append(("focal", "", options.focal_sd))
+    if options.centre_sd_px:
+        entries += [(name, "px", options.centre_sd_px) for name in ("centre_u", "centre_v")]
+    labels = tuple(f"{camera}_{name}" for camera in setting.cameras for name, _, _ in entries)
+    units, sd = tuple(unit for _, unit, _ in entries) * len(setting.cameras), [value for _, _, value in entries] * len(setting.cameras)
+    return unknown(NAME, labels, units, sd, options.lasts_s, setting, Camera, change)

@@ -1,0 +1,42 @@
+r"""The cameras' delays as an unknown: a camera that is late by $d_c$ sees the pose $s_t + d_c v_t$, with the velocity v of the motion prior.
+
+A delay counts against the first camera, whose clock is the recording's. It is of the first order in time: at an acceleration a, the error is
+$a d_c^2 / 2$, 6 mm for a wrist at 20 ms. Shift a camera by whole frames first.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_body.base.registry import register
+from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.density.factor import Variable, Variables
+from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
+from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown
+
+NAME, VELOCITY = "delays", "velocity"
+
+
+class Options(Schema):
+    """Options of `[[unknown]] kind = "delays"`, which needs `[dynamics] kind = "constant_velocity"`."""
+
+    sd_s: Positive = 0.02
+    """[s] standard deviation of a camera's delay against the first camera."""
+    lasts_s: Positive = 3600.0
+    """[s] after this time an error has faded to 37 %."""
+
+
+def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Variables) -> MarkersGaussian:
+    """Return the markers as each camera sees them at its own time."""
+    delays = jnp.concatenate([jnp.zeros_like(value[:1]), value])
+    return replace(markers, ahead=delays[:, None] * values[Variable(VELOCITY)])
+
+
+@register("unknown", NAME, Options)
+def build(options: Options, setting: Setting, **_: Any) -> Unknown:
+    """Build the unknown for one rig."""
+    labels = setting.cameras[1:]
+    others = {"sides": ("likelihood",), "reads": (VELOCITY,)}
+    return unknown(NAME, labels, ("s",) * len(labels), [options.sd_s] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **others)

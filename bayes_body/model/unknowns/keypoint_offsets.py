@@ -1,0 +1,66 @@
+r"""Where a network sees a joint, against the joint's centre, as an unknown: the keypoint of marker m is expected at $x_m + R_m o_m$.
+
+The offset $o_m$ is a vector in the frame of the marker's joint: that of a hip turns with the thigh. Only the likelihood sees it. Markers, angles and
+walls stay at the joint's centre. So an offset that is determined moves the joint's centre away from the keypoint, as it should: networks see a hip
+too far outside and above.
+
+For a marker at the end of a bone, such as a wrist, an offset along the bone cannot be told from the bone's length. It is 0.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.registry import register
+from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.density.factor import Variables
+from bayes_body.model.body.solids import Body
+from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown
+from bayes_body.recording.evidence.markers import MARKERS
+
+NAME = "keypoint_offsets"
+SD_M = {"*hip": 0.025, "pelvis": 0.025, "*shoulder": 0.02, "thorax": 0.02, "head": 0.03, "*": 0.015}
+AXES = "xyz"
+
+
+class Options(Schema):
+    """Options of `[[unknown]] kind = "keypoint_offsets"`."""
+
+    sd_m: Mapping[str, Positive] = {}
+    """[metres] table: a marker's name or a pattern = the standard deviation along each axis; what is not named has 15 mm, shoulders and thorax 20 mm,
+    hips and pelvis 25 mm, head 30 mm."""
+    lasts_s: Positive = 2.0
+    """[s] after this time an error has faded to 37 %. Errors of networks change with the posture."""
+
+
+def change(places: Int[Array, "entry 2"], body: Body, value: Float[Array, " entry"], values: Variables) -> Body:
+    """Return the body with its markers where keypoints are expected. `places` are the marker and the axis of each entry."""
+    del values
+    return replace(body, markers=replace(body.markers, offsets=body.markers.offsets.at[places[:, 0], places[:, 1]].add(value)))
+
+
+@register("unknown", NAME, Options)
+def build(options: Options, setting: Setting, **_: Any) -> Unknown:
+    """Build the unknown for one body."""
+    names, along = setting.body.markers.names, _bones(setting.body)
+    places = [(m, axis) for m, name in enumerate(names) if name in MARKERS for axis in range(3) if along[m] != axis]
+    defaults = {key: sd for key, sd in SD_M.items() if key not in options.sd_m}
+    sd = matching({**options.sd_m, **defaults}, tuple(names[m] for m, _ in places))
+    labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
+    index = device_array(np.array(places, np.int32), np.int32)
+    return unknown(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, sides=("likelihood",))
+
+
+def _bones(body: Body) -> list[int | None]:
+    """Return, for each marker at the end of a bone, the axis of its joint's frame that is nearest to the bone; None for a joint that moves."""
+    topology, axes = body.skeleton.topology, list[int | None]()
+    for joint, offset in zip(body.markers.joints, np.asarray(body.markers.offsets, float), strict=True):
+        if not offset.any() and not topology.motions[joint]:
+            # The marker of a joint that does not move, such as the wrist of a hand that does not bend.
+            offset = np.asarray(body.skeleton.presets[joint], float).T @ np.asarray(body.skeleton.offsets[joint], float)
+        axes.append(int(np.abs(offset).argmax()) if offset.any() else None)
+    return axes

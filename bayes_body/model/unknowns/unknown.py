@@ -1,0 +1,191 @@
+r"""An unknown: a variable of the state that changes slowly, with a prior around what the session says, and what it changes in the factors.
+
+Its value x, one number for each entry, follows a walk that returns to its mean (a stationary Ornstein-Uhlenbeck process),
+
+$$x_0 \sim \mathcal N(\mu, \sigma^2), \qquad x_t \sim \mathcal N\big(\mu + \phi\,(x_{t-1} - \mu),\ (1 - \phi^2)\,\sigma^2\big), \qquad
+\phi = e^{-\Delta t / \tau},$$
+
+whose standard deviation is σ in every frame. The time τ says for how long an error lasts. Errors of networks last for some seconds, and a value that
+never changed would be believed too soon. A body's lengths never change: their τ is long.
+
+An unknown changes nodes of one type in the factors' pytrees, such as every `Body` or every `Camera`. What a factor computes is not touched.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpyro.distributions import Distribution, Normal
+
+from bayes_body.base.geometry.camera import Camera
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.shapes import Key, Scalar
+from bayes_body.density.factor import Factor, Side, State, Variables
+from bayes_body.density.spaces import Flat, euclidean
+from bayes_body.kernels.smc.moment_correction import noise_beside
+from bayes_body.model.body.schema import BodySchema
+from bayes_body.model.body.solids import Body
+
+SIDES: tuple[Side, ...] = ("prior", "likelihood", "constraint")
+
+
+class Setting(NamedTuple):
+    """What an unknown is built for.
+
+    Attributes:
+        body: the body of the session's subject.
+        schema: the body file.
+        rig: the session's cameras, stacked.
+        cameras: their names.
+        fps: frames per second.
+        has_height: whether the session gives the subject's height.
+    """
+
+    body: Body
+    schema: BodySchema
+    rig: Camera
+    cameras: tuple[str, ...]
+    fps: float
+    has_height: bool
+
+
+def unchanged(node: Any) -> Any:
+    """Return a node as it is: the default `prepare`."""
+    return node
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["name", "space", "node", "sides", "prepare", "reads"],
+    data_fields=["mean", "sd", "retention", "change"],
+)
+@dataclass(frozen=True)
+class Unknown:
+    """A variable that changes slowly.
+
+    Attributes:
+        name: the variable.
+        space: its space, with a label and a unit for each entry.
+        node: the type of the nodes that it changes.
+        change: `(node, value, variables) -> node`; a `jax.tree_util.Partial`.
+        mean: the prior's mean.
+        sd: the prior's standard deviations.
+        retention: share of the distance to the mean that is left in the next frame, for each entry.
+        sides: the sides of the factors that it changes.
+        prepare: `node -> node`, what is done to the nodes once, when the model is built.
+        reads: other variables that `change` needs, such as `velocity`.
+    """
+
+    name: str
+    space: Flat
+    node: type
+    change: Callable[[Any, Array, Variables], Any]
+    mean: Float[Array, " entry"]
+    sd: Float[Array, " entry"]
+    retention: Float[Array, " entry"]
+    sides: tuple[Side, ...] = SIDES
+    prepare: Callable[[Any], Any] = unchanged
+    reads: tuple[str, ...] = ()
+
+    def prior(self) -> Distribution:
+        """Return the distribution in any frame, if nothing is known."""
+        return Normal(self.mean, self.sd).to_event(1)
+
+    def onward(self, previous: Float[Array, " entry"]) -> Distribution:
+        """Return the distribution in the next frame."""
+        return Normal(self.mean + self.retention * (previous - self.mean), self._noise).to_event(1)
+
+    @property
+    def _noise(self) -> Float[Array, " entry"]:
+        # 1 - φ² loses all digits if φ is near to 1.
+        return self.sd * jnp.sqrt(-jnp.expm1(2 * jnp.log(self.retention)))
+
+    def near(self, value: Float[Array, " entry"], scale: Scalar) -> Distribution:
+        """Return the noise of one frame about a value, with its standard deviation multiplied by `scale`."""
+        return Normal(value, scale * self._noise).to_event(1)
+
+    def concerns(self, factor: Factor) -> bool:
+        """Whether a factor holds a node that this changes."""
+        if factor.side not in self.sides:
+            return False
+        nodes = jax.tree.leaves(factor, is_leaf=lambda node: isinstance(node, self.node))
+        return any(isinstance(node, self.node) for node in nodes)
+
+
+def unknown(
+    name: str,
+    labels: tuple[str, ...],
+    units: tuple[str, ...],
+    sd: list[float],
+    lasts_s: float,
+    setting: Setting,
+    node: type,
+    change: Callable[..., Any],
+    *arguments: Any,
+    **others: Any,
+) -> Unknown:
+    """Return an unknown whose prior has the mean 0.
+
+    Args:
+        name: the variable.
+        labels: a name for each entry.
+        units: the unit of each.
+        sd: standard deviation of each.
+        lasts_s: after this time an error has faded to 37 %, seconds.
+        setting: what it is built for.
+        node: the type of the nodes that it changes.
+        change: `(*arguments, node, value, variables) -> node`.
+        arguments: the first arguments of `change`.
+        others: further attributes of `Unknown`.
+    """
+    dtype = setting.body.lengths.dtype
+    retention = np.full(len(sd), math.exp(-1 / (setting.fps * lasts_s)))
+    return Unknown(
+        name,
+        euclidean(labels, units, f"{name}_entry"),
+        node,
+        jax.tree_util.Partial(change, *arguments),
+        mean=device_array(np.zeros(len(sd)), dtype),
+        sd=device_array(sd, dtype),
+        retention=device_array(retention, dtype),
+        **others,
+    )
+
+
+def matching(table: Mapping[str, float], names: tuple[str, ...]) -> list[float]:
+    """Return the number of each name: of the name itself, or of the first pattern that matches."""
+    from fnmatch import fnmatchcase
+
+    return [table[name] if name in table else next(value for pattern, value in table.items() if fnmatchcase(name, pattern)) for name in names]
+
+
+def prior_draws(key: Key, unknowns: tuple[Unknown, ...], states: State) -> dict[str, Array]:
+    """Return draws of the unknowns for the particles of a first frame, with a leading particle axis.
+
+    They have the prior's mean and covariance exactly, and none with the other variables, if there are enough particles. In many dimensions, the
+    covariance of independent draws differs much from the prior's: with 512 draws of 100 entries, variances in some directions are twice too large.
+
+    Args:
+        key: random key.
+        unknowns: what to draw.
+        states: the other variables of the particles.
+    """
+    count = next(iter(states.values())).shape[0]
+    others = jnp.concatenate([values.reshape(count, -1) for values in states.values()], axis=1)
+    # A variable that is the same in all particles has no covariance. Anything may stand in its place.
+    other_key, key = jax.random.split(key)
+    others = jnp.where(jnp.std(others, axis=0) > 0, others, jax.random.normal(other_key, others.shape, others.dtype))
+    noise = noise_beside(key, others, jnp.zeros(count, others.dtype), sum(term.sd.shape[0] for term in unknowns))
+    pieces = jnp.split(noise, np.cumsum([term.sd.shape[0] for term in unknowns])[:-1], axis=1)
+    return {term.name: term.mean + term.sd * piece for term, piece in zip(unknowns, pieces, strict=True)}
+
+
+def initial_values(unknowns: tuple[Unknown, ...]) -> State:
+    """Return the value of each unknown that the session gives."""
+    return {term.name: term.mean for term in unknowns}

@@ -1,0 +1,43 @@
+r"""The widths of the body's parts as unknowns: the radii of each part, for the solids and for what cameras see, are multiplied by $e^x$."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_body.base.registry import register
+from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.density.factor import Variables
+from bayes_body.model.body.solids import Body
+from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown
+
+NAME = "widths"
+
+
+class Options(Schema):
+    """Options of `[[unknown]] kind = "widths"`: relative standard deviations of the parts' radii, left and right alike."""
+
+    sd: Mapping[str, Positive] = {"*": 0.1}
+    """table: a part's name without `l_` and `r_`, or a pattern = the standard deviation of its radii."""
+    lasts_s: Positive = 60.0
+    """[s] after this time an error has faded to 37 %. Clothes move."""
+
+
+def change(kinds: Int[Array, " part"], body: Body, value: Float[Array, " entry"], values: Variables) -> Body:
+    """Return the body with its radii changed."""
+    del values
+    growth = jnp.exp(value[kinds])[:, None]
+    return replace(body, radii=growth * body.radii, outline_radii=growth * body.outline_radii)
+
+
+@register("unknown", NAME, Options)
+def build(options: Options, setting: Setting, **_: Any) -> Unknown:
+    """Build the unknown for one body."""
+    stems = [name[2:] if name.startswith(("l_", "r_")) else name for name in setting.body.topology.names]
+    kinds = tuple(dict.fromkeys(stems))
+    index = jnp.asarray(np.array([kinds.index(stem) for stem in stems], np.int32))
+    sd = matching({**options.sd, "*": options.sd.get("*", 0.1)}, kinds)
+    return unknown(NAME, kinds, ("",) * len(kinds), sd, options.lasts_s, setting, Body, change, index)

@@ -1,0 +1,249 @@
+"""Unknowns: variables with a stationary prior that change bodies, cameras and clocks in the factors, against independent computations."""
+
+import dataclasses
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bayes_body.base.errors import FaultyFileError, InputError
+from bayes_body.density.factor import Variable
+from bayes_body.model.body.build import Shape, build_body
+from bayes_body.model.body.placed_body import placed_markers
+from bayes_body.model.build import build_model
+from bayes_body.model.definition import load_definition, parse_definition
+from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.recording.session.session import Subject
+from bayes_body.results.posterior.weighted import markers
+
+KINDS = ("lengths", "widths", "cameras", "delays", "keypoint_offsets", "noise")
+LIKELIHOOD, WALLS = "markers_gaussian", "intersection"
+
+
+def with_unknowns(name, *kinds, extra=""):
+    definition = load_definition(name)
+    tables = "".join(f'\n[[unknown]]\nkind = "{kind}"\n{extra}' for kind in kinds)
+    return parse_definition(name, definition.text + tables, definition.body_text)
+
+
+@pytest.fixture(scope="module")
+def model(keypoint_session):
+    return build_model(with_unknowns("keypoints", *KINDS), keypoint_session)
+
+
+@pytest.fixture(scope="module")
+def known(keypoint_session):
+    return build_model("keypoints", keypoint_session)
+
+
+@pytest.fixture(scope="module")
+def data(model):
+    """A frame of keypoints near the body in its first pose."""
+    rng = np.random.default_rng(5)
+    factor = next(factor for factor in model.factors if factor.name == LIKELIHOOD)
+    pixels = np.asarray(factor.log_potential.inner(values(model)))[..., :2]
+    evidence = MarkerEvidence(np.zeros((len(pixels), len(MARKERS), 2), np.float32), np.zeros((len(pixels), len(MARKERS)), np.float32))
+    places = [MARKERS.index(name) for name in model.body.markers.names]
+    evidence.pixels[:, places] = pixels + rng.normal(size=pixels.shape) * 5
+    evidence.confidence[:, places] = 1.0
+    return {LIKELIHOOD: evidence}
+
+
+def values(model, **changes):
+    rng = np.random.default_rng(3)
+    state = dict(model.initial)
+    state["velocity"] = jnp.asarray(rng.normal(size=state["velocity"].shape), jnp.float32)
+    return {Variable(name): jnp.asarray(value, jnp.float32) for name, value in {**state, **changes}.items()}
+
+
+def term(model, name):
+    return next(term for term in model.unknowns if term.name == name)
+
+
+def log_likelihood(model, data, **changes):
+    state = {variable.name: value for variable, value in values(model, **changes).items()}
+    return float(model.density(data).log_likelihood(state, state))
+
+
+def expected(model, **changes):
+    factor = next(factor for factor in model.factors if factor.name == LIKELIHOOD)
+    return np.asarray(factor.log_potential.inner(values(model, **changes)), float)
+
+
+def draw(model, name, seed=1):
+    unknown = term(model, name)
+    return np.asarray(unknown.prior().sample(jax.random.key(seed)), float)
+
+
+def test_at_their_mean_nothing_changes(model, known, data):
+    state = {name: value for name, value in model.initial.items() if name in known.initial}
+    np.testing.assert_allclose(expected(model)[..., :2], expected(known), atol=2e-4)
+    assert log_likelihood(model, data) == pytest.approx(log_likelihood(known, data), abs=1e-3)
+    assert set(state) == set(known.initial) == {"pose", "velocity"}
+
+
+def test_without_unknowns_factors_are_as_they_were(known):
+    assert known.unknowns == ()
+    assert known.settled(known.initial) is known
+    assert all(variable.name == "pose" for factor in known.factors for variable in factor.scope)
+
+
+def test_lengths_are_those_of_a_body_that_is_built_with_them(model, keypoint_session):
+    change = draw(model, "lengths")
+    labels = term(model, "lengths").space.labels
+    schema = model.definition.body
+    stems = {name: name[2:] if name.startswith(("l_", "r_")) else name for name in schema.lengths_of_height}
+    height = keypoint_session.subject.height_m or schema.height_m
+    lengths = {name: share * height * np.exp(change[0] + change[labels.index(stems[name])]) for name, share in schema.lengths_of_height.items()}
+    subject = Subject(body=model.definition.body_name, lengths_m=lengths)
+    other = build_model("keypoints", dataclasses.replace(keypoint_session, subject=subject))
+    np.testing.assert_allclose(expected(model, lengths=change)[..., :2], expected(other), atol=2e-3)
+    body = build_body(model.body.name, schema, Shape(None, lengths))
+    state = values(model, lengths=change)
+    by_name = {variable.name: value for variable, value in state.items()}
+    pose = by_name["pose"]
+    np.testing.assert_allclose(placed_markers(model.body_in(by_name), pose), placed_markers(body, pose), atol=1e-6)
+    np.testing.assert_allclose(
+        markers(model, np.asarray(pose)[None], lengths=change[None].astype(np.float32))[0], placed_markers(body, pose), atol=1e-6
+    )
+
+
+def test_walls_have_the_lengths_too(model):
+    walls = next(factor for factor in model.factors if factor.name == WALLS)
+    change = np.zeros(len(term(model, "lengths").space.labels))
+    change[0] = np.log(0.5)
+    assert not np.allclose(walls.log_potential.inner(values(model)), walls.log_potential.inner(values(model, lengths=change)))
+
+
+def test_cameras_turn_about_their_centre_and_move_along_their_axes(model):
+    motion = draw(model, "cameras").reshape(-1, 6)
+    rig, points = model.rig, np.asarray(placed_markers(model.body, model.first_pose), float)
+    pixels = []
+    for c, (turn, move) in enumerate(zip(motion[:, :3], motion[:, 3:], strict=True)):
+        in_camera = points @ np.asarray(rig.rotation[c], float).T + np.asarray(rig.translation[c], float)
+        moved = Rotation.from_rotvec(turn).apply(in_camera) + move
+        (fx, fy), (cx, cy) = np.asarray(rig.focal[c], float), np.asarray(rig.centre[c], float)
+        intrinsics = np.array([[fx, float(rig.skew[c]) * fx, cx], [0, fy, cy], [0, 0, 1]])
+        pixels.append(cv2.projectPoints(moved, np.zeros(3), np.zeros(3), intrinsics, np.asarray(rig.distortion[c], float))[0][:, 0])
+    np.testing.assert_allclose(expected(model, cameras=motion.ravel())[..., :2], pixels, atol=2e-2)
+
+
+def test_focal_length_and_principal_point(keypoint_session):
+    model = build_model(with_unknowns("keypoints", "cameras", extra="focal_sd = 0.01\ncentre_sd_px = 5.0\n"), keypoint_session)
+    table = np.zeros((len(keypoint_session.views), 9))
+    table[:, 6], table[:, 7:] = 0.02, (3.0, -4.0)
+    at_rest, centre = expected(model), np.asarray(model.rig.centre)[:, None]
+    np.testing.assert_allclose(expected(model, cameras=table.ravel()), centre + np.exp(0.02) * (at_rest - centre) + [3.0, -4.0], atol=2e-3)
+
+
+def test_a_late_camera_sees_a_later_pose(model):
+    delays = np.array([0.02, -0.01, 0.015])[: len(term(model, "delays").sd)]
+    late = expected(model, delays=delays)
+    state = values(model)
+    pose, velocity = state[Variable("pose")], state[Variable("velocity")]
+    for camera, delay in enumerate([0.0, *delays]):
+        np.testing.assert_allclose(late[camera], expected(model, pose=pose + delay * velocity)[camera], atol=1e-3)
+
+
+def test_keypoints_lie_beside_joints_that_stay(model):
+    labels = term(model, "keypoint_offsets").space.labels
+    change = np.zeros(len(labels))
+    change[labels.index("l_hip_x")] = 0.03
+    moved = np.linalg.norm(expected(model, keypoint_offsets=change) - expected(model), axis=-1)
+    hip = model.body.markers.names.index("l_hip")
+    assert (moved[:, hip] > 0.1).all()
+    assert not np.delete(moved, hip, axis=1).any()
+    assert "keypoint_offsets" not in model.placing
+    # Along the bone, an offset is a length.
+    assert "l_wrist_z" not in labels
+    assert {"l_wrist_x", "l_wrist_y", "l_elbow_z"} <= set(labels)
+
+
+def test_noise_is_that_of_a_likelihood_with_another_deviation(model, known, data):
+    scale = np.log(np.array([1.5, 0.7, 1.0, 2.0])[: len(np.asarray(model.rig.focal))])
+    likelihood = next(factor for factor in known.factors if factor.name == LIKELIHOOD).log_potential.outer.args[0].detections
+    scaled = dataclasses.replace(likelihood, sd_px=likelihood.sd_px * jnp.exp(jnp.asarray(scale, jnp.float32)))
+    points = placed_markers(known.body, known.first_pose)
+    evidence = data[LIKELIHOOD]
+    places = [MARKERS.index(name) for name in known.body.markers.names]
+    wanted = scaled.log_density(points, jnp.asarray(evidence.pixels[:, places]), jnp.asarray(evidence.confidence[:, places]))
+    assert log_likelihood(model, data, noise=scale) == pytest.approx(float(wanted), abs=1e-3)
+
+
+def test_widths_scale_radii(model):
+    labels = term(model, "widths").space.labels
+    change = np.zeros(len(labels), np.float32)
+    change[labels.index("thigh")] = np.log(1.2)
+    body = model.body_in({"widths": jnp.asarray(change), "lengths": jnp.zeros(len(term(model, "lengths").sd))})
+    grown = np.asarray(body.radii) / np.asarray(model.body.radii)
+    is_thigh = np.array([name.endswith("thigh") for name in model.body.topology.names])
+    np.testing.assert_allclose(grown[is_thigh], 1.2, rtol=1e-6)
+    np.testing.assert_allclose(grown[~is_thigh], 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_walk_is_stationary(model, name):
+    """A walk without this variance would make every unknown certain, or uncertain without end."""
+    unknown = term(model, name)
+    unknown = dataclasses.replace(unknown, mean=unknown.mean + 0.1, retention=jnp.full_like(unknown.retention, 0.8))
+    at = unknown.onward(unknown.mean + unknown.sd)
+    np.testing.assert_allclose(at.base_dist.loc, unknown.mean + 0.8 * unknown.sd, rtol=1e-5)
+    variance = 0.8**2 * np.asarray(unknown.sd) ** 2 + np.asarray(at.base_dist.scale) ** 2
+    np.testing.assert_allclose(variance, np.asarray(unknown.sd) ** 2, rtol=1e-5)
+
+
+def test_the_first_particles_have_the_prior_exactly(model):
+    start = model.start(512, jax.random.key(4))
+    for unknown in model.unknowns:
+        drawn = np.asarray(start.states[unknown.name], float) / np.asarray(unknown.sd, float)
+        np.testing.assert_allclose(drawn.mean(axis=0), 0, atol=1e-3)
+        np.testing.assert_allclose(np.cov(drawn.T, bias=True), np.eye(drawn.shape[1]), atol=5e-3)
+        pose = np.asarray(start.states["pose"], float)
+        both = np.concatenate([pose[:, pose.std(axis=0) > 0], drawn], axis=1)
+        between = np.corrcoef(both.T)[: -drawn.shape[1], -drawn.shape[1] :]
+        np.testing.assert_allclose(between, 0, atol=5e-3)
+
+
+def test_a_settled_model_has_the_values_of_a_state(model, data):
+    changes = {name: draw(model, name) for name in KINDS}
+    state = {variable.name: value for variable, value in values(model, **changes).items()}
+    settled = model.settled(state)
+    pose = {"pose": state["pose"]}
+    density = settled.density(data)
+    assert settled.unknowns == ()
+    assert float(density.log_likelihood(pose, pose)) == pytest.approx(log_likelihood(model, data, **changes), abs=1e-2)
+
+
+REFUSED = {
+    "no velocity": ("silhouettes", 'kind = "delays"', "unknown 'delays': no term of the model reads it"),
+    "nothing reads noise": ("silhouettes", 'kind = "noise"', "take the table out"),
+    "parts": ("loose_limbed_10", 'kind = "lengths"', 'placed by "parts"'),
+    "a random walk": ("arm_markers", 'kind = "delays"', "the motion prior has no variable 'velocity'"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_an_unknown_that_cannot_be_known_is_refused(case, keypoint_session):
+    name, table, sentence = REFUSED[case]
+    definition = load_definition(name)
+    changed = parse_definition(name, f"{definition.text}\n[[unknown]]\n{table}\n", definition.body_text)
+    with pytest.raises(InputError, match=sentence):
+        build_model(changed, keypoint_session)
+
+
+FAULTY = {
+    "twice": ('[[unknown]]\nkind = "lengths"\n[[unknown]]\nkind = "lengths"\n', "two tables of the kind 'lengths'"),
+    "no width": ('[[unknown]]\nkind = "cameras"\nmove_sd_m = 0.0\n', "unknown #1.*move_sd_m"),
+    "no such kind": ('[[unknown]]\nkind = "length"\n', "unknown 'length' does not exist"),
+}
+
+
+@pytest.mark.parametrize("case", FAULTY)
+def test_a_faulty_table_is_named(case):
+    text, sentence = FAULTY[case]
+    definition = load_definition("keypoints")
+    with pytest.raises(FaultyFileError, match=sentence):
+        parse_definition("keypoints", f"{definition.text}\n{text}", definition.body_text)
