@@ -143,8 +143,8 @@ class Model:
         states = self.first.start(key, count)
         if self.unknowns:
             names = {term.name for term in self.unknowns}
-            others = {name: values for name, values in states.items() if name not in names}
-            states = {**others, **prior_draws(jax.random.fold_in(key, 1), self.unknowns, others)}
+            sampled_states = {name: values for name, values in states.items() if name not in names}
+            states = {**sampled_states, **prior_draws(jax.random.fold_in(key, 1), self.unknowns, sampled_states)}
         return Particles(states, self._equal(count))
 
     def _equal(self, count: int) -> Float[Array, " particle"]:

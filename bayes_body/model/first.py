@@ -35,7 +35,7 @@ class First(NamedTuple):
         transition: the motion prior, whose `begin` makes a state of a pose.
         mode: the state of the most likely pose.
         draws: poses that are equally likely and take the place of `pose`, if there are any.
-        rest: the angle about which a dof is drawn in place of `pose` and `draws`; NaN for the others. None: there is no such dof.
+        resting_pose: the angle about which a dof is drawn in place of `pose` and `draws`; NaN for the others. None: there is no such dof.
     """
 
     pose: Pose
@@ -45,7 +45,7 @@ class First(NamedTuple):
     transition: Transition
     mode: State
     draws: Float[Array, "draw dof"] | None = None
-    rest: Pose | None = None
+    resting_pose: Pose | None = None
 
     @property
     def is_point(self) -> bool:
@@ -59,7 +59,9 @@ class First(NamedTuple):
     def make_certain(self, state: State) -> "First":
         """Return the distribution of one certain state."""
         settled = replace(self.transition, first=None)
-        return self._replace(pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None, rest=None)
+        return self._replace(
+            pose=state.get("pose", self.pose), sd=jnp.zeros_like(self.sd), transition=settled, mode=state, draws=None, resting_pose=None
+        )
 
     def sample(self, key: Key) -> State:
         """Draw a state."""
@@ -80,8 +82,8 @@ class First(NamedTuple):
 
     def draw_near(self, key: Key, pose: Pose) -> State:
         """Draw a state near a pose."""
-        if self.rest is not None:
-            pose = jnp.where(jnp.isnan(self.rest), pose, self.rest)
+        if self.resting_pose is not None:
+            pose = jnp.where(jnp.isnan(self.resting_pose), pose, self.resting_pose)
         uncertain = self.sd > 0
         drawn = TruncatedWalk(pose, jnp.where(uncertain, self.sd, 1.0), self.low, self.high).sample(key)
         state = self.transition.begin({"pose": jnp.where(uncertain, drawn, pose)})
@@ -107,5 +109,5 @@ def first_of(table: FirstTable, body: Body, pose: Pose, transition: Transition) 
     sd = device_array([deviations.get(name, 0.0) for name in topology.dof_names], body.lengths.dtype)
     angles = tuple(name for name, unit in zip(topology.dof_names, topology.dof_units, strict=True) if unit == "rad")
     rest_deg = by_dof(table.rest_deg, angles, "first.rest_deg")
-    rest = device_array([math.radians(rest_deg.get(name, math.nan)) for name in topology.dof_names], body.lengths.dtype) if rest_deg else None
-    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}), rest=rest)
+    resting_pose = device_array([math.radians(rest_deg.get(name, math.nan)) for name in topology.dof_names], body.lengths.dtype) if rest_deg else None
+    return First(pose, sd, body.skeleton.low, body.skeleton.high, transition, transition.begin({"pose": pose}), resting_pose=resting_pose)

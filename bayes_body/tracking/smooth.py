@@ -167,10 +167,10 @@ class _Walk:
             seconds = piece.seconds / len(piece.filtered)
             # Noise has made all paths different.
             nan = np.full(self.runs, np.nan, np.float32)
-            still = _Moves(np.full(self.runs, draws), nan, nan)
+            unmoved = _Moves(np.full(self.runs, draws), nan, nan)
             yield [
                 self._result(
-                    frame, {name: values[:, place] for name, values in piece.states.items()}, still, seconds, 0.0 if place else piece.seconds_ready
+                    frame, {name: values[:, place] for name, values in piece.states.items()}, unmoved, seconds, 0.0 if place else piece.seconds_ready
                 )
                 for place, frame in enumerate(piece.filtered)
             ]

@@ -165,7 +165,7 @@ class Options(Schema):
     """when frames are drawn: the fraction of markers that a camera misses."""
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections", "ahead", "log_scale"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["markers", "places"], data_fields=["body", "detections", "camera_steps", "log_scale"])
 @dataclass(frozen=True)
 class MarkersGaussian:
     """The distribution of the pixels of a whole body's markers, as a pytree.
@@ -175,7 +175,7 @@ class MarkersGaussian:
         places: their indices in `MARKERS`.
         body: the body.
         detections: the density of each marker.
-        ahead: what the configuration changes by until each camera sees it; None if all cameras see it at the same time.
+        camera_steps: what the configuration changes by until each camera sees it; None if all cameras see it at the same time.
         log_scale: log of a factor of each camera's standard deviation; None for 1.
     """
 
@@ -183,7 +183,7 @@ class MarkersGaussian:
     places: tuple[int, ...]
     body: Body
     detections: Detections
-    ahead: Float[Array, "camera dof"] | None = None
+    camera_steps: Float[Array, "camera dof"] | None = None
     log_scale: Float[Array, " camera"] | None = None
 
     @property
@@ -200,9 +200,9 @@ class MarkersGaussian:
         return jnp.concatenate([pixels, jnp.broadcast_to(self.log_scale[:, None, None], (*pixels.shape[:2], 1))], axis=-1)
 
     def _points(self, configuration: Configuration) -> Float[Array, "*camera present 3"]:
-        if self.ahead is None:
+        if self.camera_steps is None:
             return placed_markers(self.body, configuration)[list(self.markers), :]
-        return jax.vmap(lambda step: placed_markers(self.body, configuration + step)[list(self.markers), :])(self.ahead)
+        return jax.vmap(lambda step: placed_markers(self.body, configuration + step)[list(self.markers), :])(self.camera_steps)
 
     def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""

@@ -83,10 +83,10 @@ def settled_factor(factor: Factor, state: State) -> Factor:
     def settled(changed: Any) -> Any:
         return None if changed is None else with_changes(terms, changed.args[1], values)
 
-    whole = Composed(settled(potential.inner), potential.outer) if isinstance(potential, Composed) else settled(potential)
+    settled_potential = Composed(settled(potential.inner), potential.outer) if isinstance(potential, Composed) else settled(potential)
     unread = {term.name for term in function.args[0]} | {name for term in function.args[0] for name in term.reads}
     scope = tuple(variable for variable in factor.scope if variable.name not in unread)
-    return replace(factor, scope=scope, log_potential=whole, simulate=settled(factor.simulate), curvature=settled(factor.curvature))
+    return replace(factor, scope=scope, log_potential=settled_potential, simulate=settled(factor.simulate), curvature=settled(factor.curvature))
 
 
 # -- the motion prior -------------------------------------------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def _conditional(unknowns: Unknowns, conditional: Any, previous: State) -> dict[
 
 
 def _perturbation(unknowns: Unknowns, perturbation: Any, state: State, scale: Scalar) -> dict[str, Distribution]:
-    return {**perturbation(state, scale), **{term.name: term.near(state[term.name], scale) for term in unknowns}}
+    return {**perturbation(state, scale), **{term.name: term.noise_about(state[term.name], scale) for term in unknowns}}
 
 
 def _carry(unknowns: Unknowns, carry: Any, previous: State, sampled: State) -> dict[str, Array]:
@@ -132,5 +132,5 @@ def _first(unknowns: Unknowns, first: Any, state: State) -> Mapping[str, Distrib
 
 def _explore(unknowns: Unknowns, explore: Any, key: Key, state: State, previous: State, scale: Scalar) -> dict[str, Array]:
     explore_key, noise_key = jax.random.split(key)
-    noise = {term.name: term.near(state[term.name], scale) for term in unknowns}
+    noise = {term.name: term.noise_about(state[term.name], scale) for term in unknowns}
     return {**explore(explore_key, state, previous, scale), **draw(noise_key, noise)}

@@ -19,7 +19,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.shapes import Rotation, Vector3
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema
 from bayes_body.density.factor import Variables
-from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown_about_zero
 
 NAME = "cameras"
 MOTION = ("turn_x", "turn_y", "turn_z", "move_x", "move_y", "move_z")
@@ -43,11 +43,11 @@ class Options(Schema):
 def change(rig: Camera, value: Float[Array, " entry"], values: Variables) -> Camera:
     """Return the cameras moved. Behind the six entries of a camera's motion there may be its focal length, and two of its principal point."""
     del values
-    motion, others = jnp.split(value.reshape(rig.focal.shape[0], -1), [6], axis=1)
+    motion, intrinsics = jnp.split(value.reshape(rig.focal.shape[0], -1), [6], axis=1)
     rig = jax.vmap(moved)(rig, motion)
-    if others.shape[1] in (1, 3):
-        rig = replace(rig, focal=rig.focal * jnp.exp(others[:, :1]))
-    return replace(rig, centre=rig.centre + others[:, -2:]) if others.shape[1] > 1 else rig
+    if intrinsics.shape[1] in (1, 3):
+        rig = replace(rig, focal=rig.focal * jnp.exp(intrinsics[:, :1]))
+    return replace(rig, centre=rig.centre + intrinsics[:, -2:]) if intrinsics.shape[1] > 1 else rig
 
 
 def moved(camera: Camera, motion: Float[Array, "6"]) -> Camera:
@@ -76,4 +76,4 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
         entries += [(name, "px", options.centre_sd_px) for name in ("centre_u", "centre_v")]
     labels = tuple(f"{camera}_{name}" for camera in setting.cameras for name, _, _ in entries)
     units, sd = tuple(unit for _, unit, _ in entries) * len(setting.cameras), [value for _, _, value in entries] * len(setting.cameras)
-    return unknown(NAME, labels, units, sd, options.lasts_s, setting, Camera, change)
+    return unknown_about_zero(NAME, labels, units, sd, options.lasts_s, setting, Camera, change)

@@ -14,7 +14,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variable, Variables
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
-from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown_about_zero
 
 NAME, VELOCITY = "delays", "velocity"
 
@@ -31,12 +31,14 @@ class Options(Schema):
 def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Variables) -> MarkersGaussian:
     """Return the markers as each camera sees them at its own time."""
     delays = jnp.concatenate([jnp.zeros_like(value[:1]), value])
-    return replace(markers, ahead=delays[:, None] * values[Variable(VELOCITY)])
+    return replace(markers, camera_steps=delays[:, None] * values[Variable(VELOCITY)])
 
 
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
     labels = setting.cameras[1:]
-    others = {"sides": ("likelihood",), "reads": (VELOCITY,)}
-    return unknown(NAME, labels, ("s",) * len(labels), [options.sd_s] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **others)
+    attributes = {"sides": ("likelihood",), "reads": (VELOCITY,)}
+    return unknown_about_zero(
+        NAME, labels, ("s",) * len(labels), [options.sd_s] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **attributes
+    )

@@ -19,7 +19,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
 from bayes_body.recording.evidence.markers import MARKERS
 
 NAME = "keypoint_offsets"
@@ -46,13 +46,13 @@ def change(places: Int[Array, "entry 2"], body: Body, value: Float[Array, " entr
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one body."""
-    names, along = setting.body.markers.names, _bones(setting.body)
-    places = [(m, axis) for m, name in enumerate(names) if name in MARKERS for axis in range(3) if along[m] != axis]
+    names, bone_axes = setting.body.markers.names, _bones(setting.body)
+    places = [(m, axis) for m, name in enumerate(names) if name in MARKERS for axis in range(3) if bone_axes[m] != axis]
     defaults = {key: sd for key, sd in SD_M.items() if key not in options.sd_m}
     sd = matching({**options.sd_m, **defaults}, tuple(names[m] for m, _ in places))
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
     index = device_array(np.array(places, np.int32), np.int32)
-    return unknown(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, sides=("likelihood",))
+    return unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, sides=("likelihood",))
 
 
 def _bones(body: Body) -> list[int | None]:

@@ -22,7 +22,7 @@ from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
 
 NAME, OVERALL = "lengths", "overall"
 BONE_SD = {"*clavicle": 0.12, "*pelvis": 0.15, "head": 0.10, "torso": 0.08, "*": 0.06}
@@ -64,4 +64,4 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     bones = tuple(name for name, is_used in zip(bones, used, strict=True) if is_used)
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
     sd = [overall, *matching({**options.bone_sd, **{key: sd for key, sd in BONE_SD.items() if key not in options.bone_sd}}, bones)]
-    return unknown(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
+    return unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)

@@ -10,7 +10,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
-from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown_about_zero
 
 NAME = "noise"
 
@@ -39,5 +39,7 @@ def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Vari
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
     labels = setting.cameras
-    others = {"sides": ("likelihood",), "prepare": prepared}
-    return unknown(NAME, labels, ("",) * len(labels), [options.sd] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **others)
+    attributes = {"sides": ("likelihood",), "prepare": prepared}
+    return unknown_about_zero(
+        NAME, labels, ("",) * len(labels), [options.sd] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **attributes
+    )

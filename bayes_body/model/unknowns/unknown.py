@@ -106,7 +106,7 @@ class Unknown:
         # 1 - φ² loses all digits if φ is near to 1.
         return self.sd * jnp.sqrt(-jnp.expm1(2 * jnp.log(self.retention)))
 
-    def near(self, value: Float[Array, " entry"], scale: Scalar) -> Distribution:
+    def noise_about(self, value: Float[Array, " entry"], scale: Scalar) -> Distribution:
         """Return the noise of one frame about a value, with its standard deviation multiplied by `scale`."""
         return Normal(value, scale * self._noise).to_event(1)
 
@@ -118,7 +118,7 @@ class Unknown:
         return any(isinstance(node, self.node) for node in nodes)
 
 
-def unknown(
+def unknown_about_zero(
     name: str,
     labels: tuple[str, ...],
     units: tuple[str, ...],
@@ -128,7 +128,7 @@ def unknown(
     node: type,
     change: Callable[..., Any],
     *arguments: Any,
-    **others: Any,
+    **attributes: Any,
 ) -> Unknown:
     """Return an unknown whose prior has the mean 0.
 
@@ -142,7 +142,7 @@ def unknown(
         node: the type of the nodes that it changes.
         change: `(*arguments, node, value, variables) -> node`.
         arguments: the first arguments of `change`.
-        others: further attributes of `Unknown`.
+        attributes: further attributes of `Unknown`.
     """
     dtype = setting.body.lengths.dtype
     retention = np.full(len(sd), math.exp(-1 / (setting.fps * lasts_s)))
@@ -154,7 +154,7 @@ def unknown(
         mean=device_array(np.zeros(len(sd)), dtype),
         sd=device_array(sd, dtype),
         retention=device_array(retention, dtype),
-        **others,
+        **attributes,
     )
 
 
@@ -177,11 +177,11 @@ def prior_draws(key: Key, unknowns: tuple[Unknown, ...], states: State) -> dict[
         states: the other variables of the particles.
     """
     count = next(iter(states.values())).shape[0]
-    others = jnp.concatenate([values.reshape(count, -1) for values in states.values()], axis=1)
+    columns = jnp.concatenate([values.reshape(count, -1) for values in states.values()], axis=1)
     # A variable that is the same in all particles has no covariance. Anything may stand in its place.
     other_key, key = jax.random.split(key)
-    others = jnp.where(jnp.std(others, axis=0) > 0, others, jax.random.normal(other_key, others.shape, others.dtype))
-    noise = noise_beside(key, others, jnp.zeros(count, others.dtype), sum(term.sd.shape[0] for term in unknowns))
+    columns = jnp.where(jnp.std(columns, axis=0) > 0, columns, jax.random.normal(other_key, columns.shape, columns.dtype))
+    noise = noise_beside(key, columns, jnp.zeros(count, columns.dtype), sum(term.sd.shape[0] for term in unknowns))
     pieces = jnp.split(noise, np.cumsum([term.sd.shape[0] for term in unknowns])[:-1], axis=1)
     return {term.name: term.mean + term.sd * piece for term, piece in zip(unknowns, pieces, strict=True)}
 

@@ -12,7 +12,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown
+from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
 
 NAME = "widths"
 
@@ -40,4 +40,4 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     kinds = tuple(dict.fromkeys(stems))
     index = jnp.asarray(np.array([kinds.index(stem) for stem in stems], np.int32))
     sd = matching({**options.sd, "*": options.sd.get("*", 0.1)}, kinds)
-    return unknown(NAME, kinds, ("",) * len(kinds), sd, options.lasts_s, setting, Body, change, index)
+    return unknown_about_zero(NAME, kinds, ("",) * len(kinds), sd, options.lasts_s, setting, Body, change, index)

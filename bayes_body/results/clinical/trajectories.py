@@ -69,8 +69,8 @@ def marker_paths(run: SavedRun, names: Sequence[str]) -> Float[np.ndarray, "draw
     for piece, changes in placing_blocks(run.tree, run.model.placing, width=3 * len(marker_names)):
         runs, draws = piece.poses.shape[:2]
         chosen = np.unravel_index(_evenly(runs * draws, MOST_DRAWS), (runs, draws))
-        poses, *others = (values[chosen][None] for values in (piece.poses, *changes.values()))
-        paths.append(markers_of_each(run, poses, dict(zip(changes, others, strict=True)))[:, :, places])
+        poses, *change_values = (values[chosen][None] for values in (piece.poses, *changes.values()))
+        paths.append(markers_of_each(run, poses, dict(zip(changes, change_values, strict=True)))[:, :, places])
     return np.swapaxes(np.concatenate(paths), 0, 1)
 
 

@@ -131,8 +131,8 @@ def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched
 
 def _cloud(draws: Draws, index: int) -> Cloud:
     frame = draws.frames[index]
-    variable, *others = draws.model.placing
-    return Cloud(frame.states[variable], frame.log_weights, {name: frame.states[name] for name in others})
+    variable, *body_terms = draws.model.placing
+    return Cloud(frame.states[variable], frame.log_weights, {name: frame.states[name] for name in body_terms})
 
 
 def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 15 3"], angles: TrueAngles | None = None) -> AgainstTruth | None:

@@ -101,11 +101,11 @@ def placing_blocks(
         block: as for `pose_blocks`.
         width: as for `pose_blocks`.
     """
-    variable, *others = placing
+    variable, *change_names = placing
     width = width or tree["posterior"][variable].isel(chain=0, draw=0, frame=0).size
     by_name = (pose_blocks(tree, frames, block, width, name) for name in placing)
     for first, *changes in zip(*by_name, strict=True):
-        yield first, {name: change.poses for name, change in zip(others, changes, strict=True)}
+        yield first, {name: change.poses for name, change in zip(change_names, changes, strict=True)}
 
 
 def coordinate_blocks(

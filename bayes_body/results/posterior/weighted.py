@@ -56,8 +56,8 @@ def settled(model: Model, frame: FrameResult) -> Model:
 def mean_state(frame: FrameResult, model: Model) -> dict[str, Float[np.ndarray, "run *shape"]]:
     """Return the weighted means of each run of the variables on which the markers depend (`Model.placing`)."""
     spaces = {term.name: term.space for term in model.unknowns}
-    others = {name: weighted_mean(frame, name, spaces[name]) for name in model.placing[1:]}
-    return {model.body.variable: mean_pose(frame, model), **others}
+    changes = {name: weighted_mean(frame, name, spaces[name]) for name in model.placing[1:]}
+    return {model.body.variable: mean_pose(frame, model), **changes}
 
 
 def markers(

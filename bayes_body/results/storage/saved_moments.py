@@ -40,7 +40,7 @@ def marker_moments(run: SavedRun, frames: range | None = None, block: int = BLOC
 
 def markers_of_each(
     run: SavedRun, poses: Float[np.ndarray, "run draw frame *shape"], changes: Mapping[str, Float[np.ndarray, "run draw frame entry"]]
-) -> Float[np.ndarray, "frame draw marker 3"]:
+) -> Float[np.ndarray, "frame pooled marker 3"]:
     """Return the markers of all draws of all runs, metres. Poses and changes are those of `placing_blocks`, or some of their draws."""
     names = tuple(changes)
 
@@ -51,10 +51,10 @@ def markers_of_each(
 
 
 def of_each(
-    poses: Float[np.ndarray, "frame draw *shape"], function: Callable[..., NDArray[np.floating]], *others: Float[np.ndarray, "frame draw entry"]
+    poses: Float[np.ndarray, "frame draw *shape"], function: Callable[..., NDArray[np.floating]], *inputs: Float[np.ndarray, "frame draw entry"]
 ) -> Float[np.ndarray, "frame draw *of"]:
-    """Return a compiled function's values of each configuration, and of `others`; it gets CHUNK of them at a time."""
-    flat = [values.reshape(-1, *values.shape[2:]) for values in (poses, *others)]
+    """Return a compiled function's values of each configuration, and of `inputs`; it gets CHUNK of them at a time."""
+    flat = [values.reshape(-1, *values.shape[2:]) for values in (poses, *inputs)]
     # All pieces have the same shape: a shorter last one would need another compilation.
     count = len(flat[0])
     pieces = [function(*(_padded(values[start : start + CHUNK]) for values in flat)) for start in range(0, count, CHUNK)]

@@ -174,17 +174,17 @@ def _scores(plain: Accuracy) -> list[Picture]:
 
 def _radial(names: tuple[str, ...], scores: Scores) -> Picture:
     curves, errors = calibration_curves(scores.level), calibration_errors(scores.level)
-    known = np.flatnonzero(np.isfinite(errors))
-    worst = known[errors[known].argmax()]
+    finite = np.flatnonzero(np.isfinite(errors))
+    worst = finite[errors[finite].argmax()]
     figure, axes = new_panel("Calibration by distance", "draws, %", "truths, %")
-    axes.plot(100 * NOMINAL, 100 * curves[:, known], color=GREY, linewidth=0.7, alpha=0.6)
+    axes.plot(100 * NOMINAL, 100 * curves[:, finite], color=GREY, linewidth=0.7, alpha=0.6)
     axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
-    axes.plot(100 * NOMINAL, 100 * np.median(curves[:, known], axis=1), color=INK, label="median")
-    if len(known) > 1:
+    axes.plot(100 * NOMINAL, 100 * np.median(curves[:, finite], axis=1), color=INK, label="median")
+    if len(finite) > 1:
         axes.plot(100 * NOMINAL, 100 * curves[:, worst], color=INK, linestyle=run_line(1), label=f"worst: {spoken(names[worst])}")
     axes.set(xlim=(0, 100), ylim=(0, 102))
     axes.legend(loc="best")
-    alt = f"Expected calibration error: median over the markers {np.median(errors[known]):.2f}, worst {errors[worst]:.2f} of {spoken(names[worst])}."
+    alt = f"Expected calibration error: median over the markers {np.median(errors[finite]):.2f}, worst {errors[worst]:.2f} of {spoken(names[worst])}."
     return encoded(figure, alt, f"{RADIAL} {alt}")
 
 

@@ -71,8 +71,8 @@ class Problem:
         if not self.unknowns:
             return particles
         names = {term.name for term in self.unknowns}
-        others = {name: values for name, values in particles.states.items() if name not in names}
-        return particles._replace(states={**others, **prior_draws(key, self.unknowns, others)})
+        certain_states = {name: values for name, values in particles.states.items() if name not in names}
+        return particles._replace(states={**certain_states, **prior_draws(key, self.unknowns, certain_states)})
 
 
 class Case(NamedTuple):
