@@ -27,7 +27,7 @@ from bayes_body.model.definition import Definition, evidence_of, load_body, load
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, few_cameras, kernel_of, kernel_options
 from bayes_body.model.unknowns.apply import factor_with, settled_factor, transition_with, with_changes
-from bayes_body.model.unknowns.unknown import SIDES, Setting, Unknown, prior_draws
+from bayes_body.model.unknowns.unknown import SIDES, Setting, Unknown
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
 
 # Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
@@ -140,11 +140,7 @@ class Model:
             key: random key, needed only if the first pose is uncertain (`Model.first`); by default that of seed 0.
         """
         key = jax.random.key(0) if key is None else key
-        states = self.first.start(key, count)
-        if self.unknowns:
-            names = {term.name for term in self.unknowns}
-            sampled_states = {name: values for name, values in states.items() if name not in names}
-            states = {**sampled_states, **prior_draws(jax.random.fold_in(key, 1), self.unknowns, sampled_states)}
+        states = _start_evenly(self.first, key, count) if self.unknowns else self.first.start(key, count)
         return Particles(states, self._equal(count))
 
     def _equal(self, count: int) -> Float[Array, " particle"]:
@@ -180,6 +176,7 @@ class Model:
 
 
 _markers = jax.jit(placed_markers)
+_start_evenly = jax.jit(First.start_evenly, static_argnames="count")
 
 
 def build_model(name: str | Path | Definition, session: Session) -> Model:
@@ -217,7 +214,8 @@ def _unknowns(definition: Definition, body: Body, rig: Camera, session: Session)
         setting, expected = f"[[unknown]] kind = '{definition.unknowns[0].kind}'", 'a body with placement = "angles"'
         raise input_error(setting, 'with a body that is placed by "parts"', expected, "take the table out, or place the body by angles")
     names = tuple(view.camera.name for view in session.views)
-    setting = Setting(body, definition.body, rig, names, session.fps, session.subject.height_m is not None)
+    shape = _shape(session.subject, definition)
+    setting = Setting(body, definition.body, rig, names, session.fps, shape.height_m is not None, frozenset(shape.lengths_m))
     return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in definition.unknowns)
 
 

@@ -93,7 +93,7 @@ def test_only_the_first_frame_of_a_fallback_waits_for_its_program(textured_sessi
 def test_laplace_falls_back_in_tracking_as_it_does_alone(keypoint_session, monkeypatch):
     model = build_model("arm_markers", keypoint_session)
     # No frame is good enough for it.
-    monkeypatch.setattr(laplace_filter, "LEAST_ESS", 2.0)
+    monkeypatch.setattr(laplace_filter, "_limits", lambda options: laplace_filter.Limits(options.most_k, 2.0))
     kernel = laplace_filter.build_kernel()
     draws = track(KEY, keypoint_session, model, kernel, 256, runs=2, frames=3)
     assert (draws.info.modes["attempt"] == 2).all() and diagnose(to_datatree(draws)).redone == (0.0, 1.0)

@@ -29,7 +29,7 @@ def build_problem(model: Model, session: Session, points: Points, measurements: 
     weighted = measurements._replace(marker_weights=marker_weights, pixel_weights=pixel_weights)
     problem = Problem(
         body=body,
-        scaling=scaling(body, model.definition.body) if session.fit_lengths else fixed(body),
+        scaling=scaling(body, model.definition.body) if fits_lengths(model, session) else fixed(body),
         rig=model.rig,
         points=points,
         measurements=jax.tree.map(lambda leaf: device_array(leaf, dtype), weighted),
@@ -39,6 +39,17 @@ def build_problem(model: Model, session: Session, points: Points, measurements: 
     has_value = np.array([name in session.initial for name in body.dof_names])
     mean = np.where(has_value, problem.prior.mean, fit_resting_pose(problem))
     return problem._replace(prior=problem.prior._replace(mean=device_array(mean, dtype)))
+
+
+def fits_lengths(model: Model, session: Session) -> bool:
+    """Return whether the body's lengths are fitted together with the pose.
+
+    They are if the session says so, or if they are unknown to the model and two cameras or markers tell them. With the lengths of a table, a pose
+    bends joints to make up for them.
+    """
+    cameras = sum(any(point[2] > 0 for point in keypoints.values()) for keypoints in session.initial_keypoints.values())
+    told = bool(session.initial_markers) or cameras > 1
+    return session.fit_lengths or (told and any(term.name == "lengths" for term in model.unknowns))
 
 
 def _prior(body: Body, session: Session, points: Points) -> Prior:

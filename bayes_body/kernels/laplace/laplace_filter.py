@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 from bayes_body.base.registry import FewCameras, register
 from bayes_body.base.shapes import Flag, Key, Scalar
 from bayes_body.base.toml.read import validate
-from bayes_body.base.toml.schema import Count, Schema
+from bayes_body.base.toml.schema import Count, Positive, ProperShare, Schema
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.gaussian_view import GaussianView, gaussian_view
@@ -40,15 +40,12 @@ from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.kernels.smc.tempering import MOST_IMPOSSIBLE
 from bayes_body.kernels.weights import LogWeights, effective_sample_size, normalise
 
-# A frame is done again if the tail of its weights is heavier, or if a smaller share of its draws is effective.
-MOST_K, LEAST_ESS = 0.7, 0.1
-
 
 class Options(Schema):
     """Options of `[kernel] kind = "laplace"`.
 
-    A frame in which a few weights dominate (Pareto k above 0.7, or less than a tenth of the draws effective) is done again from `more_starts` starts.
-    If that does not help, `fallback` does it.
+    A frame in which a few weights dominate (Pareto k above `most_k`, or less than `least_ess` of the draws effective) is done again from
+    `more_starts` starts. If that does not help, `fallback` does it.
     """
 
     particles: Count = 512
@@ -59,6 +56,14 @@ class Options(Schema):
     """starting points in a frame that is done again."""
     most_steps: Count = 12
     """largest number of steps of a search."""
+    moments: Literal["weights", "slopes"] = "weights"
+    """`"weights"`: the draws keep their importance weights, and their moments are corrected by slopes. `"slopes"`: the draws are moved to the moments
+    at which their slopes agree with a normal posterior, and count equally; the weights only judge. This is a normal approximation. In many
+    dimensions, where weights are noisy, it has a tenth of the random error."""
+    most_k: Positive = 0.7
+    """largest Pareto k of a frame that is not done again."""
+    least_ess: ProperShare = 0.1
+    """smallest share of effective draws of such a frame."""
     fallback: Literal["tempered", "none"] = "tempered"
     """what samples a frame if importance sampling fails: `"tempered"`, by stages of Hamiltonian Monte Carlo, or `"none"`."""
 
@@ -92,19 +97,23 @@ class Attempt(NamedTuple):
     steps: Int[Array, ""]
     evaluations: Int[Array, ""]
 
-    @property
-    def is_bad(self) -> Flag:
-        """Whether a few weights dominate. A Pareto k of NaN belongs to weights that are nearly equal."""
-        return _is_bad(self.is_lost, effective_sample_size(self.log_weights), self.log_weights.shape[0], self.pareto_k)
 
+class Limits(NamedTuple):
+    """When a few weights dominate: above this Pareto k, or with a smaller share of effective draws. A k of NaN belongs to nearly equal weights."""
 
-def _is_bad(is_lost: Flag, ess: Scalar, count: int, pareto_k: Scalar) -> Flag:
-    return is_lost | (ess < LEAST_ESS * count) | (pareto_k > MOST_K)
+    most_k: float
+    least_ess: float
 
+    def exclude(self, attempt: Attempt) -> Flag:
+        """Whether a few weights dominate in an attempt."""
+        return self._exclude(attempt.is_lost, effective_sample_size(attempt.log_weights), attempt.log_weights.shape[0], attempt.pareto_k)
 
-def fails(info: FilterInfo) -> Flag:
-    """Return whether a few weights dominate after the last attempt by importance sampling."""
-    return _is_bad(info.lost, info.ess, info.ancestors.shape[-1], info.modes["pareto_k"])
+    def fails(self, info: FilterInfo) -> Flag:
+        """Whether they do after the last attempt by importance sampling."""
+        return self._exclude(info.lost, info.ess, info.ancestors.shape[-1], info.modes["pareto_k"])
+
+    def _exclude(self, is_lost: Flag, ess: Scalar, count: int, pareto_k: Scalar) -> Flag:
+        return is_lost | (ess < self.least_ess * count) | (pareto_k > self.most_k)
 
 
 def build_kernel(**options: Any) -> Kernel:
@@ -124,9 +133,13 @@ def build_kernel(**options: Any) -> Kernel:
         # Draws are few. Another device would be waited for longer than it computes.
         with one_device():
             view = gaussian_view(view_key, density.with_previous(particles), "the kernel laplace", "use --kernel tempered")
-            return _result(end_key, view, _attempts(attempt_key, view, particles.log_weights.shape[0], checked))
+            return _result(end_key, view, _attempts(attempt_key, view, particles.log_weights.shape[0], checked), checked.moments)
 
-    return kernel if checked.fallback == "none" else KernelWithFallback(kernel, fails, build_fallback())
+    return kernel if checked.fallback == "none" else KernelWithFallback(kernel, _limits(checked).fails, build_fallback())
+
+
+def _limits(options: Options) -> Limits:
+    return Limits(options.most_k, options.least_ess)
 
 
 def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempt:
@@ -135,8 +148,8 @@ def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Att
     def attempt(previous: Attempt) -> Attempt:
         return _attempt(jax.random.fold_in(key, previous.number), view, previous, options)
 
-    most = 2 if options.more_starts > options.starts else 1
-    return jax.lax.while_loop(lambda last: (last.number == 0) | (last.is_bad & (last.number < most)), attempt, _empty(view, count))
+    most, limits = 2 if options.more_starts > options.starts else 1, _limits(options)
+    return jax.lax.while_loop(lambda last: (last.number == 0) | (limits.exclude(last) & (last.number < most)), attempt, _empty(view, count))
 
 
 def _empty(view: GaussianView, count: int) -> Attempt:
@@ -177,12 +190,17 @@ def _attempt(key: Key, view: GaussianView, previous: Attempt, options: Options) 
     )
 
 
-def _result(key: Key, view: GaussianView, last: Attempt) -> tuple[Particles, FilterInfo]:
+def _result(key: Key, view: GaussianView, last: Attempt, how: Literal["weights", "slopes"]) -> tuple[Particles, FilterInfo]:
     """Return the particles of an attempt, with corrected moments, and its figures."""
-    corrected = with_moments(last.draws, last.log_weights, corrected_moments(last.draws, last.log_weights, last.slopes))
+    log_weights = last.log_weights
+    if how == "slopes":
+        # Those of the second attempt come from a mixture, which has no single mean and covariance.
+        is_normal = (last.number == 1) & ~last.is_lost & jnp.all(jnp.isfinite(last.slopes))
+        log_weights = jnp.where(is_normal, -jnp.log(log_weights.shape[0]), log_weights)
+    corrected = with_moments(last.draws, log_weights, corrected_moments(last.draws, log_weights, last.slopes))
     # Slopes know nothing of a wall without a slope.
     draws = jnp.where((last.impossible > MOST_IMPOSSIBLE) | last.is_lost, last.draws, corrected)
-    noise = noise_beside(key, draws, last.log_weights, view.unread_size)
+    noise = noise_beside(key, draws, log_weights, view.unread_size)
     states = jax.vmap(lambda noise, z: view.completed(noise, jnp.zeros((), jnp.int32), view.draw(z)))(noise, draws)
     count = last.log_weights.shape[0]
     ess = effective_sample_size(last.log_weights)
@@ -197,7 +215,7 @@ def _result(key: Key, view: GaussianView, last: Attempt) -> tuple[Particles, Fil
         evaluations=last.evaluations,
         modes={"attempt": last.number - 1, "steps": last.steps, "modes": last.modes, "pareto_k": last.pareto_k},
     )
-    return Particles(states, last.log_weights), info
+    return Particles(states, log_weights), info
 
 
 # With one camera.

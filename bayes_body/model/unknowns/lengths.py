@@ -11,6 +11,7 @@ their ends are not joints that anyone sees.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.base.toml.schema import Finite, Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
@@ -38,6 +39,9 @@ class Options(Schema):
     bone_sd: Mapping[str, Positive] = {}
     """table: a length's name or a pattern = its standard deviation beside that of all lengths together; what is not named has 0.06, torso 0.08, head
     0.10, clavicles 0.12 and pelvis 0.15."""
+    bone_mean: Mapping[str, Finite] = {}
+    """relative; table: a bone's name or a pattern = how much longer it is expected to be than the body file says, as a logarithm. For bones that the
+    session gives, it is 0."""
     sides: Literal["alike", "free"] = "alike"
     """`"alike"`: a left and a right bone have one deviation. `"free"`: each has its own."""
     lasts_s: Positive = 3600.0
@@ -62,6 +66,9 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     used = np.asarray(growth.groups).T @ (np.asarray(growth.values) != 0) > 0
     growth = growth._replace(groups=growth.groups[:, np.flatnonzero(used)])
     bones = tuple(name for name, is_used in zip(bones, used, strict=True) if is_used)
+    means = matching({**options.bone_mean, **({} if "*" in options.bone_mean else {"*": 0.0})}, bones)
+    mean = [0.0 if {name, f"l_{name}", f"r_{name}"} & setting.measured else value for name, value in zip(bones, means, strict=True)]
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
     sd = [overall, *matching({**options.bone_sd, **{key: sd for key, sd in BONE_SD.items() if key not in options.bone_sd}}, bones)]
-    return unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
+    prior = unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
+    return replace(prior, mean=jnp.asarray([0.0, *mean], prior.mean.dtype))

@@ -45,6 +45,7 @@ class Setting(NamedTuple):
         cameras: their names.
         fps: frames per second.
         has_height: whether the session gives the subject's height.
+        measured: names of the lengths that the session gives.
     """
 
     body: Body
@@ -53,6 +54,7 @@ class Setting(NamedTuple):
     cameras: tuple[str, ...]
     fps: float
     has_height: bool
+    measured: frozenset[str] = frozenset()
 
 
 def unchanged(node: Any) -> Any:
