@@ -53,7 +53,7 @@ class First(NamedTuple):
         """Draw `count` states whose standard normal numbers have exactly the mean 0 and the covariance I, all variables together.
 
         In many dimensions, the covariance of independent draws differs much from that of their distribution: with 512 draws of 100 entries, variances
-        in some directions are twice too large. What the pose leaves open must be normal. With several equally likely poses, the draws are independent.
+        in some directions are twice too large. What the pose leaves open must be normal. Of several equally likely poses, draws are independent.
         """
         opening = self.transition.first
         if self.draws is not None or opening is None:
