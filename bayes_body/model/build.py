@@ -278,7 +278,7 @@ def _likelihoods(definition: Definition, body: Body, rig: Camera) -> tuple[list[
     for index, term in enumerate(definition.likelihoods):
         name = f"{term.kind}_{index + 1}" if index else term.kind
         factors.append(find("likelihood", term.kind).build(name=name, options=term.options, body=body, rig=rig))
-        observers[name] = find("observation", term.kind).build(options=term.observation, likelihood=term.options)
+        observers[name] = find("observation", term.kind).build(options=term.observation, likelihood=term.options, markers=body.markers.names)
     return factors, observers
 
 

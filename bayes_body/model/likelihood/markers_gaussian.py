@@ -39,7 +39,7 @@ from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import PARTS, ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.recording.evidence.markers import KEYPOINTS, MarkerEvidence, evidence_names
 
 # Where a point behind the camera is expected: its distance from the image's centre, in diagonals of the image.
 BEHIND = 2.0
@@ -172,7 +172,7 @@ class MarkersGaussian:
 
     Attributes:
         markers: indices of the visible markers in the body.
-        places: their indices in `MARKERS`.
+        places: their indices in `KEYPOINTS`.
         body: the body.
         detections: the density of each marker.
         camera_steps: what the configuration changes by until each camera sees it; None if all cameras see it at the same time.
@@ -239,7 +239,7 @@ def _log_densities(
 
 
 class PartMarkers(NamedTuple):
-    """The markers that a part holds: positions in its frame, metres, indices in `MARKERS`, and whether each counts."""
+    """The markers that a part holds: positions in its frame, metres, indices in `KEYPOINTS`, and whether each counts."""
 
     offsets: Float[Array, "*part marker 3"]
     places: Int[Array, "*part marker"]
@@ -270,7 +270,7 @@ def simulate(potential: MarkersGaussian, missing: Scalar, key: Key, values: Vari
     draws, losses = jax.random.split(key)
     pixels = potential.draw(draws, values[Variable(potential.body.variable)])
     present = jax.random.bernoulli(losses, 1 - missing, pixels.shape[:2])
-    everywhere = jnp.zeros((pixels.shape[0], len(MARKERS), 2), pixels.dtype)
+    everywhere = jnp.zeros((pixels.shape[0], len(evidence_names(potential.body.markers.names)), 2), pixels.dtype)
     places = jnp.array(potential.places)
     return MarkerEvidence(
         everywhere.at[:, places].set(jnp.where(present[..., None], pixels, 0.0)), everywhere[..., 0].at[:, places].set(present.astype(pixels.dtype))
@@ -284,10 +284,10 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     Raises:
         InputError: the body has none of the markers.
     """
-    shared_markers = [(number, MARKERS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in MARKERS]
+    shared_markers = [(number, KEYPOINTS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in KEYPOINTS]
     if not shared_markers:
         problem = f"the body '{body.name}' has the markers {', '.join(body.markers.names) or '(none)'}"
-        raise input_error(name, problem, f"some of {', '.join(MARKERS)}", "use these names in the body's [markers]")
+        raise input_error(name, problem, f"some of {', '.join(KEYPOINTS)}", "use these names in the body's [markers]")
     dtype = body.lengths.dtype
     diagonal = jnp.sqrt(jnp.sum(rig.size**2, axis=1))
     sd_px = options.sd_px * (diagonal / options.at_diagonal_px if options.at_diagonal_px else jnp.ones_like(diagonal))

@@ -20,7 +20,7 @@ from bayes_body.base.toml.schema import Positive, Schema
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
 from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
-from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.evidence.markers import KEYPOINTS
 
 NAME = "keypoint_offsets"
 SD_M = {"*hip": 0.025, "pelvis": 0.025, "*shoulder": 0.02, "thorax": 0.02, "head": 0.03, "*": 0.015}
@@ -47,7 +47,7 @@ def change(places: Int[Array, "entry 2"], body: Body, value: Float[Array, " entr
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one body."""
     names, bone_axes = setting.body.markers.names, _bones(setting.body)
-    places = [(m, axis) for m, name in enumerate(names) if name in MARKERS for axis in range(3) if bone_axes[m] != axis]
+    places = [(m, axis) for m, name in enumerate(names) if name in KEYPOINTS for axis in range(3) if bone_axes[m] != axis]
     defaults = {key: sd for key, sd in SD_M.items() if key not in options.sd_m}
     sd = matching({**options.sd_m, **defaults}, tuple(names[m] for m, _ in places))
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)

@@ -3,6 +3,7 @@
 Such data can come from a recording (observation/) or be simulated by a model (`Factor.simulate`).
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,13 @@ MARKERS = (
     *("pelvis", "thorax", "l_shoulder", "l_elbow", "l_wrist", "r_shoulder", "r_elbow", "r_wrist"),
     *("l_hip", "l_knee", "l_ankle", "r_hip", "r_knee", "r_ankle", "head"),
 )
+# Keypoints of the feet, which show how the ankles bend. No truth has them.
+FEET = ("l_heel", "l_big_toe", "l_small_toe", "r_heel", "r_big_toe", "r_small_toe")
+KEYPOINTS = (*MARKERS, *FEET)
 
 
 class MarkerEvidence(NamedTuple):
-    """What each camera sees of the markers, in the order of `MARKERS`.
+    """What each camera sees of the markers of a body, in the order of `evidence_names`.
 
     Attributes:
         pixels: column, row; 0, 0 where a marker is not seen.
@@ -25,3 +29,8 @@ class MarkerEvidence(NamedTuple):
 
     pixels: Float[Array | np.ndarray, "camera marker 2"]
     confidence: Float[Array | np.ndarray, "camera marker"]
+
+
+def evidence_names(markers: Iterable[str]) -> tuple[str, ...]:
+    """Return the names in the order of the evidence of a body with these markers: `MARKERS`, and `KEYPOINTS` if it has markers on its feet."""
+    return MARKERS if set(FEET).isdisjoint(markers) else KEYPOINTS

@@ -1,6 +1,6 @@
 """A frame's keypoints as markers: what `markers_gaussian` reads."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from bayes_body.base.errors import input_error
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Schema
-from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence, evidence_names
 from bayes_body.recording.observation.frames import Frame
 
 
@@ -17,18 +17,19 @@ class Options(Schema):
 
 
 @register("observation", "markers_gaussian", Options)
-def build(**_: Any) -> Callable[[Frame], MarkerEvidence]:
-    """Extract the markers from a frame's keypoints, as NumPy arrays."""
+def build(markers: Sequence[str] = MARKERS, **_: Any) -> Callable[[Frame], MarkerEvidence]:
+    """Extract the markers of a body that has these markers from a frame's keypoints, as NumPy arrays."""
+    names = evidence_names(markers)
 
     def observe(frame: Frame) -> MarkerEvidence:
         if frame.keypoints is None:
             remedy = "import them with the recording, or give [[camera]] its `keypoints`"
             raise input_error("session.toml", "its cameras have no keypoints", "keypoints from at least one camera", remedy)
-        rows = np.array([_rows(keypoints or {}) for keypoints in frame.keypoints], np.float32)
+        rows = np.array([_rows(names, keypoints or {}) for keypoints in frame.keypoints], np.float32)
         return MarkerEvidence(rows[..., :2], rows[..., 2])
 
     return observe
 
 
-def _rows(keypoints: Mapping[str, tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    return [keypoints.get(name, (0.0, 0.0, 0.0)) for name in MARKERS]
+def _rows(names: Sequence[str], keypoints: Mapping[str, tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    return [keypoints.get(name, (0.0, 0.0, 0.0)) for name in names]
