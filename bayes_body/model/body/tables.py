@@ -13,7 +13,7 @@ Preset = Literal["x90", "x180", "x270", "y90", "y180", "y270", "z90", "z180", "z
 Direction = Literal["x", "y", "z", "-x", "-y", "-z"]
 Axis = Literal[Direction, "tx", "ty", "tz", "width"]
 # Segments between which joint angles are defined (bayes_body/results/clinical/conventions.py).
-LIMB_SEGMENTS = ("thigh", "shank", "foot", "upper_arm", "forearm", "hand")
+LIMB_SEGMENTS = ("thigh", "shank", "talus", "foot", "upper_arm", "forearm", "hand")
 SEGMENTS = ("pelvis", "thorax", "head", *(f"{side}_{name}" for side in "rl" for name in LIMB_SEGMENTS))
 
 

@@ -52,6 +52,7 @@ class Convention(NamedTuple):
         signs: factors of the three rotations.
         angles: the angles, in the order of the sequence.
         source: the publication.
+        tilt_deg: how far the x axis of the rotations is turned upwards and inwards from the segments' x axis, degrees.
     """
 
     joint: str
@@ -62,6 +63,13 @@ class Convention(NamedTuple):
     signs: tuple[int, int, int]
     angles: tuple[Angle, Angle, Angle]
     source: str
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def axes(self) -> Float[np.ndarray, "3 3"]:
+        """The rotation from the axes of the rotations to those of the segments, on the right side."""
+        upwards, inwards = self.tilt_deg
+        return Rotation.from_euler("YZ", [inwards, upwards], degrees=True).as_matrix()
 
     @property
     def sides(self) -> tuple[Side, ...]:
@@ -187,7 +195,33 @@ GROUND = Convention(
     ),
     "OpenSim",
 )
+TALOCRURAL = Convention(
+    *("ankle of OpenSim", "shank", "talus", True, "ZXY", (1, 1, 1)),
+    (
+        Angle("talocrural_dorsiflexion", "dorsiflexion", "plantarflexion", "ankle_angle"),
+        Angle("talocrural_inversion", "inversion", "eversion"),
+        Angle("talocrural_rotation", "internal rotation", "external rotation"),
+    ),
+    "OpenSim",
+)
+SUBTALAR = Convention(
+    *("subtalar joint of OpenSim", "talus", "foot", True, "ZXY", (1, 1, 1)),
+    (
+        Angle("subtalar_dorsiflexion", "dorsiflexion", "plantarflexion"),
+        Angle("subtalar_inversion", "inversion", "eversion", "subtalar_angle"),
+        Angle("subtalar_rotation", "internal rotation", "external rotation"),
+    ),
+    "OpenSim (gait2392, Delp et al. 1990)",
+    (37.2, 8.7),
+)
 OPENSIM = (GROUND, *CLINICAL)
+# For bodies with a talus: two joints in place of one between shank and foot.
+OPENSIM_WITH_TALUS = (*OPENSIM[: OPENSIM.index(ANKLE)], TALOCRURAL, SUBTALAR, *OPENSIM[OPENSIM.index(ANKLE) + 1 :])
+
+
+def opensim_conventions(segments: Iterable[str]) -> tuple[Convention, ...]:
+    """Return the conventions of OpenSim's coordinates for a body with these segments."""
+    return OPENSIM if {"r_talus", "l_talus"}.isdisjoint(segments) else OPENSIM_WITH_TALUS
 
 
 def angles_of(convention: Convention, side: Side, R: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -205,7 +239,7 @@ def angles_of(convention: Convention, side: Side, R: Float[np.ndarray, "*batch 3
         # At gimbal lock the angles that are returned still reproduce the rotation.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         # By quaternions, real part last: SciPy would make each matrix orthogonal by a singular value decomposition, which takes ten times as long.
-        quaternions = np.roll(rotations.from_matrix(_mirrored(side, R).reshape(-1, 3, 3)), -1, axis=-1)
+        quaternions = np.roll(rotations.from_matrix(_to_axes(convention, side, R).reshape(-1, 3, 3)), -1, axis=-1)
         angles = Rotation.from_quat(quaternions).as_euler(convention.sequence)
     if convention.sequence == "YXY":
         # SciPy's second angle is positive, but raising the arm is a negative rotation about x.
@@ -216,7 +250,14 @@ def angles_of(convention: Convention, side: Side, R: Float[np.ndarray, "*batch 3
 def rotation_of(convention: Convention, side: Side, angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the rotation from the distal segment to the proximal one of a joint with these angles, radians."""
     turns = (angles * convention.signs).reshape(-1, 3)
-    return _mirrored(side, Rotation.from_euler(convention.sequence, turns).as_matrix().reshape(*angles.shape[:-1], 3, 3))
+    R = Rotation.from_euler(convention.sequence, turns).as_matrix().reshape(*angles.shape[:-1], 3, 3)
+    return _mirrored(side, convention.axes @ R @ convention.axes.T)
+
+
+def _to_axes(convention: Convention, side: Side, R: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return a joint's rotation about the axes of the convention, mirrored on the left side."""
+    mirrored = _mirrored(side, R)
+    return convention.axes.T @ mirrored @ convention.axes if any(convention.tilt_deg) else mirrored
 
 
 def _mirrored(side: Side, R: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:

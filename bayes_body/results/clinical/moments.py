@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from bayes_body.base.errors import input_error
 from bayes_body.density.spaces import circle
-from bayes_body.results.clinical.conventions import CLINICAL, GROUND, OPENSIM, PELVIS, Convention
+from bayes_body.results.clinical.conventions import CLINICAL, GROUND, PELVIS, Convention, opensim_conventions
 from bayes_body.results.clinical.joints import joint_frames, joints_of
 from bayes_body.results.posterior.blocks import BLOCK
 from bayes_body.results.posterior.moments import Moments, MomentsAndMedian, moments_and_median, moments_in
@@ -73,7 +73,7 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
         return moments_and_median(of_each(poses, lambda chunk: np.asarray(joint_frames(body, chunk).origin))[:, :, pelvis][..., order], weights)
 
     origin = moments_of(run, frames, block, 3 * len(body.skeleton.topology.joint_names), places)
-    _, names, moments = _angles(run, OPENSIM, frames, block)
+    _, names, moments = _angles(run, opensim_conventions(segments), frames, block)
     # OpenSim's order: the rotations of the pelvis, its position, then the joints.
     named_columns = [place for place, name in enumerate(names) if name]
     first = sum(name.startswith("pelvis_") for name in names)
