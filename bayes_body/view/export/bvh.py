@@ -82,7 +82,8 @@ def joints_of(motion: Motion) -> Joints:
     body = motion.body
     order = _depth_first(body)
     topology, placement = body.skeleton.topology, body.placement
-    names, above = tuple(topology.joint_names[j] for j in order), [topology.parents[j] for j in order]
+    # The name of a joint between a free and a fixed angle has a space, which would end it in the file.
+    names, above = tuple(topology.joint_names[j].replace(" ", "_") for j in order), [topology.parents[j] for j in order]
     parents = tuple(order.index(parent) if parent >= 0 else -1 for parent in above)
     rotations, places = _placed(motion)
     R, origins, R_rest, rest_places = rotations[:-1, order], places[:-1, order], rotations[-1, order], places[-1, order]
