@@ -45,6 +45,7 @@ _HOME = {
     "FilterInfo": "density.kernel",
     "MarkerEvidence": "recording.evidence.markers",
     "MARKERS": "recording.evidence.markers",
+    "KEYPOINTS": "recording.evidence.markers",
     "over_particles": "kernels.batching",
     "excerpt": "recording.readers.excerpt",
     "graph": "density.pairwise",

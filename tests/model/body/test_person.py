@@ -12,6 +12,7 @@ from bayes_body.model.body.placed_body import loosened
 from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_body
+from bayes_body.recording.evidence.markers import FEET
 from bayes_body.recording.session.session import Subject
 
 HEIGHT = 1.8
@@ -63,13 +64,55 @@ def test_fifteen_parts_are_joined_as_in_the_paper(fifteen):
     assert parents == limbs | trunk and len(fifteen.topology.penetration) == 13
 
 
-@pytest.mark.parametrize(("angle", "marker", "direction"), [("l_ankle_y", "l_toe", (0, 0, -1)), ("thorax_x", "head", (0, 1, 0))])
-def test_where_new_joints_bend(fifteen, angle, marker, direction):
-    """A negative angle of the ankle points the toes down, and a positive one of the spine bends it to the left."""
-    sign = -1 if angle.startswith("l_ankle") else 1
-    moved = _markers(fifteen, **{angle: 0.3 * sign}) - _markers(fifteen)
-    step = moved[fifteen.markers.names.index(marker)]
+@pytest.fixture(scope="module")
+def ankles():
+    return build_body("person_35", load_body("person_35"), Shape(HEIGHT))
+
+
+def test_ankles_add_four_angles_and_shoulders_are_narrower(pair, ankles):
+    """With flat feet and shoulders of the same breadth the body moves as the one without ankles."""
+    _, person = pair
+    assert set(ankles.dof_names) - set(person.dof_names) == {f"{s}_{dof}" for s in "lr" for dof in ("ankle_y", "subtalar")}
+    assert ankles.markers.names == (*person.markers.names, *FEET)
+    narrow = build_body("person_31", load_body("person_31"), Shape(HEIGHT, dict.fromkeys(("l_clavicle", "r_clavicle"), 0.105 * HEIGHT)))
+    for angles in np.random.default_rng(0).uniform(-0.5, 0.5, (5, len(person.dof_names))):
+        named = dict(zip(person.dof_names, angles, strict=True))
+        assert np.allclose(_markers(narrow, **named), _markers(ankles, **named)[:15], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("body", "angle", "marker", "direction"),
+    [
+        ("fifteen", "l_ankle_y", "l_toe", (0, 0, 1)),
+        ("fifteen", "thorax_x", "head", (0, 1, 0)),
+        ("ankles", "l_ankle_y", "l_big_toe", (0, 0, 1)),
+        ("ankles", "r_ankle_y", "r_small_toe", (0, 0, 1)),
+        # An inverted foot points inwards.
+        ("ankles", "l_subtalar", "l_big_toe", (0, -1, 0)),
+        ("ankles", "r_subtalar", "r_big_toe", (0, 1, 0)),
+    ],
+)
+def test_where_new_joints_bend(request, body, angle, marker, direction):
+    """A positive angle of the ankle points the toes up, one of the subtalar joint inwards, and one of the spine bends it to the left."""
+    person = request.getfixturevalue(body)
+    step = (_markers(person, **{angle: 0.3}) - _markers(person))[person.markers.names.index(marker)]
     assert step @ np.array(direction) > 0.9 * np.linalg.norm(step) > 0.04
+
+
+def test_a_foot_turns_about_the_axis_of_opensim(ankles):
+    """The subtalar axis of gait2392 (Delp et al. 1990): forward, up and to the right; and the sole of an inverted foot faces inwards."""
+    for side, inwards in (("l", -1), ("r", 1)):
+        axis = np.array([0.78718, inwards * 0.120949, 0.604747])
+        ankle, *feet = (ankles.markers.names.index(f"{side}_{name}") for name in ("ankle", "heel", "big_toe", "small_toe"))
+        before, after = (_markers(ankles, **{f"{side}_subtalar": angle}) for angle in (0.0, 0.3))
+        from_axis = before[feet] - before[ankle]
+        step = after[feet] - before[feet]
+        # A rotation moves nothing along its axis, and by an angle about it: 2 sin(angle / 2) times the distance from it.
+        away = from_axis - np.outer(from_axis @ axis, axis)
+        assert np.abs(step @ axis).max() < 3e-4
+        np.testing.assert_allclose(np.linalg.norm(step, axis=1), 2 * np.sin(0.15) * np.linalg.norm(away, axis=1), rtol=0.01)
+        rise = step[1, 2] - step[2, 2]
+        assert rise > 0.01, "the inner edge of an inverted foot is the higher one"
 
 
 def _markers(body, **angles):
@@ -82,9 +125,9 @@ def _pose(body, **angles):
     return np.float32([values.get(name, 0.0) for name in body.dof_names])
 
 
-@pytest.mark.parametrize("name", ["person_31", "person_40"])
-def test_who_stands_stands_on_flat_soles(pair, fifteen, name):
-    person = pair[1] if name == "person_31" else fifteen
+@pytest.mark.parametrize("name", ["person_31", "person_35", "person_40"])
+def test_who_stands_stands_on_flat_soles(pair, ankles, fifteen, name):
+    person = {"person_31": pair[1], "person_35": ankles, "person_40": fifteen}[name]
     solids, radii = solids_of(person, _pose(person)), np.asarray(person.radii)
     for side in "lr":
         foot = person.topology.names.index(f"{side}_foot")

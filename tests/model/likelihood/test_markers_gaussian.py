@@ -14,7 +14,7 @@ from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.placed_body import loosened, placed_markers
-from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.recording.evidence.markers import FEET, KEYPOINTS, MARKERS, MarkerEvidence
 
 POSE = Variable("pose")
 NOISES = {
@@ -255,6 +255,36 @@ def test_a_body_placed_by_parts_is_a_plate_of_the_same_density(x64, scene, body,
     moved = np.asarray(rows_of(plate, parts.at[plate.rows[1][0], 1].add(0.05), seen))
     assert np.flatnonzero(rows != moved).tolist() == [1]
     assert np.isnan(value_and_slope(f, parts.at[0, 4].set(jnp.nan), seen)[0])
+
+
+@pytest.fixture
+def feet(x64, scene):
+    """The likelihood of a body with ankles, and evidence of all its keypoints, some pixels from where they should be."""
+    scene = scene("person_35")
+    assert set(scene.body.markers.names) == set(KEYPOINTS)
+    pixels = opencv_pixels(scene)[:, [scene.body.markers.names.index(name) for name in KEYPOINTS]]
+    pixels += np.random.default_rng(3).normal(0, 6.0, pixels.shape)
+    return scene, factor(scene), MarkerEvidence(jnp.asarray(pixels), jnp.full(pixels.shape[:2], 0.9))
+
+
+def test_heels_and_toes_move_the_ankles(feet):
+    scene, f, seen = feet
+    moved = value_and_slope(f, scene.pose, seen)[1]
+    # Below the confidence that counts.
+    without = value_and_slope(f, scene.pose, seen._replace(confidence=seen.confidence.at[:, len(MARKERS) :].set(0.3)))[1]
+    for name in ("l_ankle_y", "l_subtalar", "r_ankle_y", "r_subtalar"):
+        place = scene.body.dof_names.index(name)
+        assert abs(moved[place]) > 0.1 and abs(without[place]) < 1e-9
+        # Without noise the slope points back to where the keypoints came from.
+        step = jnp.zeros_like(scene.pose).at[place].set(0.1)
+        exact = seen._replace(pixels=jnp.asarray(opencv_pixels(scene)[:, [scene.body.markers.names.index(name) for name in KEYPOINTS]]))
+        assert value_and_slope(f, scene.pose + step, exact)[1][place] < 0 < value_and_slope(f, scene.pose - step, exact)[1][place]
+
+
+def test_what_is_drawn_of_a_body_with_feet_has_its_heels_and_toes(feet):
+    scene, f, seen = feet
+    drawn = jax.jit(lambda key, pose: f.simulate(key, {POSE: pose}))(jax.random.key(0), scene.pose)
+    assert drawn.pixels.shape == seen.pixels.shape == (2, len(MARKERS) + len(FEET), 2) and (np.asarray(drawn.confidence) == 1).all()
 
 
 @pytest.mark.slow

@@ -9,11 +9,12 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.base.registry import find
 from bayes_body.model.likelihood.silhouette_bernoulli import Options, _centres
-from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.evidence.markers import FEET, KEYPOINTS, MARKERS
 from bayes_body.recording.observation.frames import Frame, read_frame
 from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.readers import truth
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints import LAYOUTS
 
 
 def observe(kind, frame, **given):
@@ -32,6 +33,20 @@ def test_markers_of_a_frame():
     np.testing.assert_allclose(seen.pixels[0, MARKERS.index("l_knee")], [10, 20.5])
     with pytest.raises(InputError, match="its cameras have no keypoints; expected keypoints from at least one camera; import them"):
         observe("markers_gaussian", Frame(0, (None,), None))
+
+
+@pytest.mark.parametrize("layout", ["BODY_25", "BODY_25B", "HALPE_26"])
+def test_heels_and_toes_are_evidence_for_a_body_that_has_them(layout):
+    points = np.random.default_rng(0).uniform(1, 99, (1, len(LAYOUTS[layout]), 3)) * [1, 1, 0.01]
+    keypoints = KeypointSeries(points, LAYOUTS[layout], 0).frame(0)
+    frame = Frame(0, (None,), None, keypoints=(keypoints,))
+    whole, without = observe("markers_gaussian", frame, markers=("l_hip", *FEET)), observe("markers_gaussian", frame, markers=("l_hip", "l_toe"))
+    assert whole.confidence.shape == (1, 21) and without.confidence.shape == (1, 15)
+    for place, name in enumerate(FEET, 15):
+        assert KEYPOINTS[place] == name
+        np.testing.assert_allclose([*whole.pixels[0, place], whole.confidence[0, place]], points[0, LAYOUTS[layout].index(name)], rtol=1e-6)
+    # For a body without feet nothing changes.
+    assert np.array_equal(whole.pixels[:, :15], without.pixels) and np.array_equal(whole.confidence[:, :15], without.confidence)
 
 
 def test_silhouettes_of_a_frame():

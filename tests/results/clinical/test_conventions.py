@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from bayes_body.model.body.build import build_body
+from bayes_body.model.definition import load_body
 from bayes_body.results.clinical.conventions import (
     ANKLE,
     ARM,
@@ -20,12 +22,17 @@ from bayes_body.results.clinical.conventions import (
     OPENSIM,
     PELVIS,
     SHOULDER,
+    SUBTALAR,
+    TALOCRURAL,
     WRIST,
     angles_of,
+    opensim_conventions,
     rotation_of,
 )
+from bayes_body.results.clinical.joints import joint_frames, joints_of
 
-SIDED = [(convention, side) for convention in OPENSIM for side in convention.sides]
+ALL = (*OPENSIM, TALOCRURAL, SUBTALAR)
+SIDED = [(convention, side) for convention in ALL for side in convention.sides]
 FORWARD, UP, RIGHT = np.eye(3)
 
 
@@ -41,7 +48,7 @@ def test_round_trip(convention, side, seed):
     assert np.abs(np.exp(1j * again) - np.exp(1j * angles))[middle > 1e-3].max() < 1e-6
 
 
-@pytest.mark.parametrize("convention", OPENSIM, ids=[convention.joint for convention in OPENSIM])
+@pytest.mark.parametrize("convention", ALL, ids=[convention.joint for convention in ALL])
 def test_gimbal_lock_still_gives_the_rotation(convention):
     locked = 0.0 if convention.sequence == "YXY" else np.pi / 2
     R = rotation_of(convention, convention.sides[0], np.array([[0.3, locked, 0.4], [0.3, -locked, -0.4]]))
@@ -89,6 +96,27 @@ def test_positive_values_of_the_trunk():
     assert turned(LUMBAR, "", "lumbar_extension", 30) @ UP @ -FORWARD == pytest.approx(0.5)
     assert turned(LUMBAR, "", "lumbar_bending", 30) @ UP @ RIGHT == pytest.approx(0.5)
     assert turned(LUMBAR, "", "lumbar_rotation", 30) @ FORWARD @ -RIGHT == pytest.approx(0.5)
+
+
+def test_opensim_s_coordinates_of_a_body_with_a_talus_are_its_angles():
+    """And about an oblique axis the angles of the foot on the shank change together."""
+    schema = load_body("person_35")
+    body = build_body("person_35", schema)
+    joints = joints_of(body, schema.clinical, (1, 2, 0), opensim_conventions(schema.clinical))
+    assert not {f"ankle_{name}_r" for name in ("dorsiflexion", "inversion", "rotation")} & {name for joint in joints for name in joint.names}
+    angles = {"r_ankle_y": 0.2, "r_subtalar": -0.3, "l_ankle_y": -0.4, "l_subtalar": 0.25, "l_knee": -0.6, "root_yaw": 2.0}
+    pose = np.array([[angles.get(name, 0.1) for name in body.dof_names]])
+    rotations = np.asarray(joint_frames(body, pose).rotation, float)
+    values = {}
+    for joint in joints:
+        values |= dict(zip(joint.coordinates, joint.angles(rotations)[0], strict=True))
+    for side in "lr":
+        assert values[f"ankle_angle_{side}"] == pytest.approx(angles[f"{side}_ankle_y"], abs=1e-5)
+        assert values[f"subtalar_angle_{side}"] == pytest.approx(angles[f"{side}_subtalar"], abs=1e-5)
+    ankle = next(joint for joint in joints_of(body, schema.clinical, (1, 2, 0), (ANKLE,)) if joint.side == "l")
+    assert ankle.names == ("ankle_dorsiflexion_l", "ankle_inversion_l", "ankle_rotation_l")
+    assert (ankle.angles(rotations)[0][1:] > 0.1).all()
+    assert opensim_conventions(load_body("person_40").clinical) is OPENSIM
 
 
 def test_the_planes_of_the_shoulder():
