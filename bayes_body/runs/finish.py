@@ -20,6 +20,7 @@ from bayes_body.results.clinical.ranges import range_figures, ranges_of
 from bayes_body.results.clinical.trajectories import angle_paths
 from bayes_body.results.metrics import summarise
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.metrics.unknown_sentences import unknown_sentences
 from bayes_body.results.posterior import stream_posterior
 from bayes_body.results.posterior.diagnostics import diagnose, sentences, worst_figures
 from bayes_body.results.storage import FrameFiles
@@ -115,7 +116,7 @@ def finish(
         summary["frame_pairs"] = remarks
         if live is not None:
             summary["live"] = dict(live)
-        summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings]
+        summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings, *unknown_sentences(summary)]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)
     if pictures:

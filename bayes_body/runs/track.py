@@ -22,6 +22,8 @@ from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.metrics.unknown_sentences import unknown_sentences
+from bayes_body.results.metrics.unknowns import near_limit_shares, near_limits, unknown_figures
 from bayes_body.results.posterior.diagnostics import Thresholds, diagnose, sentences
 from bayes_body.results.posterior.joint_sentences import joint_sentences
 from bayes_body.results.posterior.stream import tree_on_demand
@@ -183,6 +185,10 @@ def run_sentences(session: Session, draws: Draws, bar: bool = False) -> list[str
     first = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0, to_judge=True)
     fits = [result_fit(session, model, draws.frames[index], index, to_judge=True) for index in watched("figures", bar)(range(count))]
     figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, fits)}
+    is_sample = draws.samples_posterior
+    figures |= unknown_figures(model, draws.frames[count - 1], count - 1, is_sample)
+    figures["near_limit_shares"] = near_limit_shares(model, [near_limits(model, frame) for frame in draws.frames] if is_sample else [])
     remarks = pair_remarks(session, model, count, bar)
     with waiting("diagnostics", bar):
-        return [*fit_sentences(figures), *_kernel_warning(draws), *remarks, *sentences(diagnose(tree_on_demand(draws)))]
+        judged = sentences(diagnose(tree_on_demand(draws)))
+    return [*fit_sentences(figures), *_kernel_warning(draws), *remarks, *judged, *unknown_sentences(figures)]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_body.results.metrics.summary import shows_overlap, shows_reprojection
+from bayes_body.results.metrics.unknown_sentences import unknown_lines
 
 
 def figures_text(summary: Mapping[str, Any]) -> str:
@@ -28,7 +29,7 @@ def figures_text(summary: Mapping[str, Any]) -> str:
         f"agreement   {fitted}R-hat over runs at most {shown('rhat_max', '.2f')}; "
         f"mean markers of the runs {shown('marker_disagreement_mm', '.0f', ' mm')} apart",
     ]
-    return "\n".join([*lines, *_redone(summary), *_joint(summary), *_accuracy(summary)])
+    return "\n".join([*lines, *_redone(summary), *_joint(summary), *unknown_lines(summary), *_accuracy(summary)])
 
 
 def warning_line(sentence: str) -> str:

@@ -22,6 +22,7 @@ from bayes_body.results.metrics.figures import accuracy_figures
 from bayes_body.results.metrics.fit import Fit, frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
 from bayes_body.results.metrics.truth import draws_against_truth
+from bayes_body.results.metrics.unknowns import near_limit_shares, near_limits, unknown_figures
 from bayes_body.results.posterior import frame_rhat, markers
 from bayes_body.results.posterior.blocks import log_mean_exp
 from bayes_body.results.posterior.weighted import mean_state
@@ -46,7 +47,7 @@ def log_evidence(draws: Draws) -> float:
 
 
 class _Figures(NamedTuple):
-    """The figures of one frame for the summary: the fit, arrays (run,), and single numbers."""
+    """The figures of one frame for the summary: the fit, arrays (run,), single numbers, and whether each dof is near its limit."""
 
     ess: NDArray[Any]
     layers: NDArray[Any]
@@ -57,6 +58,7 @@ class _Figures(NamedTuple):
     rhat: float
     fit: Fit
     disagreement: float
+    near_limits: NDArray[Any]
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int, to_judge: bool) -> _Figures:
@@ -65,9 +67,9 @@ def _figures(session: Session, model: Model, frame: FrameResult, index: int, to_
     worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
-    return _Figures(
-        np.asarray(info.ess), layers, evidence, evaluations, frame.lost, bool(frame.restarted.any()), worst, fit, _disagreement(model, frame)
-    )
+    restarted, disagreement = bool(frame.restarted.any()), _disagreement(model, frame)
+    limits = near_limits(model, frame)
+    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, restarted, worst, fit, disagreement, limits)
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched, pictures: bool = True) -> dict[str, Any]:
@@ -110,6 +112,8 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "reprojection_px_median": _median(distance_px),
         "marker_disagreement_mm": 1000 * float(np.mean([frame_figures.disagreement for frame_figures in by_frame])),
         **fit_figures(first, fits, draws.first_frame),
+        **unknown_figures(draws.model, draws.frames[frames - 1], frames - 1, not mode_seeker),
+        "near_limit_shares": near_limit_shares(draws.model, [] if mode_seeker else [frame_figures.near_limits for frame_figures in by_frame]),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}

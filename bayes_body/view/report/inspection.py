@@ -17,6 +17,7 @@ from bayes_body.base.errors import InputError, escaped
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.results.clinical.moments import Curves
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.metrics.unknown_sentences import unknown_sentences
 from bayes_body.results.posterior.blocks import coordinate_blocks, weights_of_runs
 from bayes_body.results.posterior.diagnostics import Diagnosis, Thresholds, diagnose, sentences
 from bayes_body.results.posterior.moments import Moments
@@ -50,8 +51,9 @@ class Inspection:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """A sentence for frames in which the body is not on the person, for pairs of frames that mislead, and for each limit that is crossed."""
-        return [*fit_sentences(self.run.summary), *self.run.summary.get("frame_pairs", []), *sentences(self.diagnosis, self.limits)]
+        """A sentence for each: frames with the body beside the person, pairs of frames that mislead, limits that are crossed, unknowns far off."""
+        summary = self.run.summary
+        return [*fit_sentences(summary), *summary.get("frame_pairs", []), *sentences(self.diagnosis, self.limits), *unknown_sentences(summary)]
 
     def number(self, frame: int) -> int:
         """The number by which the user knows a frame, counted from 0."""

@@ -25,6 +25,8 @@ from bayes_body.view.report.pictures import QUALITIES, picture_section
 from bayes_body.view.report.prediction import prediction_section
 from bayes_body.view.report.runs import run_section
 from bayes_body.view.report.truth import truth_section
+from bayes_body.view.report.unknowns import TITLE as UNKNOWNS_TITLE
+from bayes_body.view.report.unknowns import unknown_section
 
 if TYPE_CHECKING:
     from bayes_body.results.storage.saved_run import SavedRun
@@ -43,6 +45,7 @@ SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("gait", "Gait", gait_section),
     ("angles", "Angles and positions", band_section),
     ("pairs", "Dependence of the angles", pair_section),
+    ("unknowns", UNKNOWNS_TITLE, unknown_section),
     ("filter", "Filter", filter_section),
     ("joint", TITLE, joint_section),
     ("chains", "Markov chains", chain_section),
@@ -89,6 +92,7 @@ def sections_of(inspection: Inspection) -> Sequence[tuple[str, str, Callable[[In
         "truth": not inspection.has_truth,
         "clinical": not inspection.clinical.names,
         "gait": not has_gait(inspection),
+        "unknowns": not inspection.run.summary.get("unknowns"),
         "filter": inspection.run.smoothed,
         "joint": inspection.diagnosis.joint is None,
         "chains": inspection.diagnosis.mixing is None,

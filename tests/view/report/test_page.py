@@ -23,6 +23,7 @@ from bayes_body.view.report.markup import Markup
 from bayes_body.view.report.page import LARGEST, SECTIONS, fitted, page, sections_of, write_report
 from bayes_body.view.report.pictures import QUALITIES, picture_section
 from bayes_body.view.report.runs import run_section
+from bayes_body.view.report.unknowns import unknown_section
 
 # Each angle is a plot: where one is enough.
 HIP = {"dofs": ("l_hip_y",), "units": ("rad",)}
@@ -59,7 +60,7 @@ def test_a_page_opens_without_a_network_and_without_scripts(whole, parse):
 
 def test_every_section_is_there_and_led_to(whole, parse):
     found = parse(whole)
-    names = [name for name, _, _ in SECTIONS if name not in ("truth", "clinical", "gait", "joint", "chains", "messages")]
+    names = [name for name, _, _ in SECTIONS if name not in ("truth", "clinical", "gait", "unknowns", "joint", "chains", "messages")]
     assert [each["id"] for each in found.of("section")] == names
     assert [each["href"] for each in found.of("a")] == [f"#{name}" for name in names]
 
@@ -131,6 +132,25 @@ def test_the_verdict_begins_with_the_result():
     assert "; median reprojection error of the keypoints 4.2\u00a0px; mean markers" in keypoints and "silhouettes" not in keypoints
     bare = {"frames": 1, "frames_lost": 0, "iou_median": None, "error_mm_mean": None, "coverage_90": None}
     assert verdict(bare, ["a"], agreement_known=True).splitlines() == ["1 frame tracked, none lost.", "Warning: a"]
+
+
+def test_what_was_not_known_has_a_panel_for_each_unknown_and_unit(make_run, parse):
+    entry = {"prior_mean": 0.0, "prior_sd": 0.02, "mean": 0.01, "sd": 0.01, "sd_ratio": 0.5, "rhat": None}
+    camera = entry | {"name": "cameras", "entry": "a_move_x", "unit": "m", "mean": -0.08, "sd": 0.019, "sd_ratio": 0.95}
+    rows = [entry | {"name": "lengths", "entry": "l_thigh", "unit": ""}, camera, camera | {"entry": "a_turn_x", "unit": "rad"}]
+    folder = make_run()
+    path = folder / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {"unknowns": rows}), encoding="utf-8")
+    seal(folder)
+    with load_run(folder) as run, style():
+        inspection = Inspection(run)
+        content = unknown_section(inspection)
+        assert "unknowns" in [name for name, _, _ in sections_of(inspection)]
+        assert any(warning.startswith("cameras: a move x -80 mm (4.0 prior sd)") for warning in inspection.warnings)
+    found = parse(content)
+    assert [image["alt"].split(", in the last frame")[0] for image in found.of("img")] == ["Lengths, %", "Cameras, mm", "Cameras, °"]
+    assert "2 of 3 entries stay as uncertain as their prior" in found.text
+    assert "-80 ± 19 mm" in found.text and "1 ± 1 %" in found.text
 
 
 def test_a_body_off_the_person_is_a_warning(make_run):
