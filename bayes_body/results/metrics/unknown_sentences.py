@@ -71,8 +71,8 @@ def unknown_sentences(summary: Mapping[str, Any]) -> list[str]:
 
 def _describe_far(name: str, entries: Sequence[Mapping[str, Any]]) -> str:
     more = f" and {len(entries) - MOST_NAMED} more" if len(entries) > MOST_NAMED else ""
-    where = f"further than {MOST_SHIFT:g} prior standard deviations from what the session says"
-    return f"{', '.join(map(_moved, entries[:MOST_NAMED]))}{more}: {where}; {CAUSES.get(name, OTHERWISE)}."
+    distance = f"further than {MOST_SHIFT:g} prior standard deviations from what the session says"
+    return f"{', '.join(map(_moved, entries[:MOST_NAMED]))}{more}: {distance}; {CAUSES.get(name, OTHERWISE)}."
 
 
 def _describe_limits(summary: Mapping[str, Any]) -> list[str]:

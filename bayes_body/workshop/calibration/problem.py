@@ -17,12 +17,13 @@ from jaxtyping import Array, Float
 from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Flag, Index, Key, Scalar
 from bayes_body.density.density import Density
-from bayes_body.density.factor import Factor, Particles, State, Transition, draw
+from bayes_body.density.factor import Factor, Particles, State, Transition, draw, variables
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.placed_body import require
 from bayes_body.model.body.placement import POSE
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
+from bayes_body.model.unknowns.apply import with_changes
 from bayes_body.model.unknowns.unknown import Unknown, prior_draws
 
 # Number of rejected paths after which a case is given up.
@@ -89,7 +90,7 @@ class Case(NamedTuple):
 
 
 def problem_of(model: Model, wandering: int = 10) -> Problem:
-    """The problem of a model: the dofs and the coordinates of the markers are ranked.
+    """The problem of a model: the dofs, the coordinates of the markers of the body as the state has it, and the unknowns are ranked.
 
     Raises:
         InputError: the body is placed by its parts.
@@ -97,11 +98,13 @@ def problem_of(model: Model, wandering: int = 10) -> Problem:
     require(model.body, POSE, "a calibration of joint angles", "a model of a body that is placed by angles")
     names = (*model.body.dof_names, *(f"{marker} {axis}" for marker in model.body.markers.names for axis in AXES))
     names += tuple(f"{term.name} {label}" for term in model.unknowns for label in term.space.labels)
-    quantities = jax.tree_util.Partial(_pose_and_markers, model.body, model.unknowns)
+    of_body = tuple(term for term in model.unknowns if term.name in model.placing)
+    quantities = jax.tree_util.Partial(_pose_and_markers, model.body, of_body, model.unknowns)
     return Problem(model.transition, model.factors, model.initial, Quantities(names, quantities), wandering, model.unknowns)
 
 
-def _pose_and_markers(body: Body, unknowns: tuple[Unknown, ...], state: State) -> Float[Array, " quantity"]:
+def _pose_and_markers(body: Body, of_body: tuple[Unknown, ...], unknowns: tuple[Unknown, ...], state: State) -> Float[Array, " quantity"]:
+    body = with_changes(of_body, body, variables(state))
     markers = marker_positions(body.skeleton, body.markers, state["pose"])
     return jnp.concatenate([state["pose"], markers.reshape(-1), *(state[term.name] for term in unknowns)])
 
