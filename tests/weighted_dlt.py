@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from bayes_body.recording.readers.triangulate import _rays, reprojection_errors
+from bayes_body.recording.readers.triangulate import reprojection_errors, undistorted_rays
 
 LARGEST_ERROR_PX, LEAST_CONFIDENCE, FEWEST_CAMERAS = 15.0, 0.3, 2
 # Longer gaps are left to the last point before them.
@@ -45,7 +45,7 @@ def triangulate_weighted(cameras, keypoints):
 
 def _rows(camera, keypoints):
     """P_1 - u P_3 and P_2 - v P_3 of each point, in pixels."""
-    rays = np.nan_to_num(_rays(camera, keypoints[:, :2].copy()))
+    rays = np.nan_to_num(undistorted_rays(camera, keypoints[:, :2].copy()))
     P = np.column_stack([camera.rotation, camera.translation_m])
     return (P[None, :2] - rays[..., None] * P[None, 2:]) * np.array(camera.focal_px)[None, :, None]
 

@@ -48,7 +48,7 @@ def triangulate(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "
     """
     tolerance = TOLERANCE * float(np.mean([np.hypot(*camera.size_px) for camera in cameras])) if tolerance_px is None else tolerance_px
     weights = np.where(np.isfinite(image_points).all(axis=-1) & (image_points[..., 2] > 0), image_points[..., 2], 0.0)
-    rays = np.stack([_rays(camera, points) for camera, points in zip(cameras, image_points[..., :2], strict=True)])
+    rays = np.stack([undistorted_rays(camera, points) for camera, points in zip(cameras, image_points[..., :2], strict=True)])
     best = np.full(image_points.shape[1], np.inf)
     agreeing = np.zeros(weights.shape, bool)
     for pair in combinations(range(len(cameras)), 2):
@@ -118,7 +118,7 @@ def project(camera: CameraSpec, points_m: Float[np.ndarray, "point 3"]) -> Float
     return pixels
 
 
-def _rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
+def undistorted_rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
     """Undistorted (x, y) at depth 1 in the camera's frame; NaN where not seen."""
     xy = (pixels - camera.centre_px) / camera.focal_px
     xy[:, 0] -= camera.skew * xy[:, 1]
