@@ -1,7 +1,7 @@
 """`bayes-body import`: make a session from a laboratory's files. A laboratory has a verb; the verbs share their options and one body."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -38,6 +38,7 @@ FirstFrame = Annotated[
     int | None, typer.Option("--first-frame", help="Number of the first frame to import, as in the file names; in a video they count from 0.")
 ]
 Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.")]
+NoLengths = Annotated[bool, typer.Option("--no-lengths", help="Do not measure the lengths of the limbs on the keypoints of two or more cameras.")]
 Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.")]
 Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.")]
 
@@ -57,7 +58,8 @@ LABORATORIES = {
         "A recording of PARSEC's bodytrack.",
         "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
         "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
-        omitted_options=("unit", "up"),
+        # It has the body's measures.
+        omitted_options=("unit", "up", "no_lengths"),
     ),
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",
@@ -96,6 +98,7 @@ def _import(
     frames: Frames = None,
     unit: Unit = None,
     up: Up = None,
+    no_lengths: NoLengths = False,
 ) -> None:
     """Import a recording, print the remarks, and draw the picture for checking the session."""
     from bayes_body.base.config import configure
@@ -103,7 +106,8 @@ def _import(
     from bayes_body.recording.readers.options import Options
     from bayes_body.recording.session.read import FILE_NAME
 
-    options = Options(unit, up, fps, height, masks, background, truth, _offsets(offset), layout, keypoints, first_frame, frames)
+    offsets = _offsets(offset)
+    options = Options(unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths)
     if (session / FILE_NAME).exists() and not overwrite:
         raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
@@ -114,6 +118,7 @@ def _import(
     recording, remarks = getattr(reader, f"import_{verb}")(source, session, options)
     for remark in remarks:
         say(f"note: {remark}")
+    _compare_cameras(recording, offsets)
     _warn_of_nobody(recording)
     picture = draw_first_frame(recording, model, session / "check.png")
     say(f"{size_of(recording)}: {session / FILE_NAME}")
@@ -154,6 +159,19 @@ def _offsets(texts: list[str] | None) -> dict[str, int]:
             raise input_error("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
         offsets[name] = frames
     return offsets
+
+
+def _compare_cameras(session: "Session", offsets: Mapping[str, int]) -> None:
+    """Tell the user how well the cameras fit each other, if they have keypoints, and which one does not."""
+    from bayes_body.recording.readers.camera_agreement import camera_agreement
+    from bayes_body.recording.readers.camera_sentences import describe_errors, warn_of_cameras
+    from bayes_body.view.figures_text import warning_line
+
+    cameras = camera_agreement(session)
+    if cameras:
+        say(f"note: {describe_errors(cameras)}")
+    for sentence in warn_of_cameras(cameras, offsets):
+        say(warning_line(sentence))
 
 
 def _warn_of_nobody(session: "Session") -> None:

@@ -11,6 +11,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
 from bayes_body.recording.readers.keypoints import Layout, choose_layout, keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.measured_lengths import with_measured_lengths
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.person import People
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
@@ -27,7 +28,7 @@ def keypoint_folders(session: Session, folder: Path) -> dict[str, Path]:
 
 
 def with_imported_keypoints(session: Session, options: Options, usual: Path | None = None) -> tuple[Session, list[str]]:
-    """Add the keypoints that the user names, or those of the usual folder if it has any. Returns the session and remarks.
+    """Add the keypoints that the user names, or those of the usual folder if it has any, and the lengths that they show. Also returns remarks.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
@@ -42,7 +43,11 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
         raise input_error(
             "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", expected, "leave the option out"
         )
-    return with_keypoints(session, folders, options.layout) if folders else (session, [])
+    if not folders:
+        return session, []
+    session, remarks = with_keypoints(session, folders, options.layout)
+    session, measures = with_measured_lengths(session) if options.measures_lengths else (session, [])
+    return session, [*remarks, *measures]
 
 
 def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | None = None) -> tuple[Session, list[str]]:

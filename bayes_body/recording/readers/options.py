@@ -31,6 +31,7 @@ class Options:
         keypoints: a folder that contains a folder of OpenPose's files for each camera.
         first_frame: number of the first frame that is imported, as in the file names; in a video they count from 0.
         frames: number of frames that are imported; all from the first one on by default.
+        measures_lengths: whether the lengths of the limbs are measured on the keypoints of two or more cameras.
     """
 
     unit: str | None = None
@@ -45,6 +46,7 @@ class Options:
     keypoints: Path | None = None
     first_frame: int | None = None
     frames: int | None = None
+    measures_lengths: bool = True
 
 
 def check_height(height_m: float | None) -> None:
