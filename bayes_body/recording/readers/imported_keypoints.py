@@ -74,7 +74,7 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
         for view, among, place in zip(views, people[0], places[0], strict=True)
         if place is not None
     }
-    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, places)]
+    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, people, places)]
     files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
@@ -172,8 +172,15 @@ def _describe_first_shown(session: Session, series: Sequence[Places]) -> str:
     return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
 
 
-def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:
-    """A remark on cameras that do not see the subject in every frame."""
+def _seldom(views: Sequence[View], people: Sequence[Sequence[People]], places: Sequence[Places]) -> list[str]:
+    """Remarks on cameras that do not see the subject in every frame, and on those that see only people who agree with no other camera."""
+    frames = len(places)
     unseen = [sum(chosen[c] is None for chosen in places) for c in range(len(views))]
-    counts = [f"{view.camera.name}: {count} of {len(places)}" for view, count in zip(views, unseen, strict=True) if count]
-    return [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []
+    counts = [f"{view.camera.name}: {count} of {frames}" for view, count in zip(views, unseen, strict=True) if count]
+    remarks = [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []
+    for c, view in enumerate(views):
+        strangers = sum(chosen[c] is None and len(frame[c]) > 0 for chosen, frame in zip(places, people, strict=True))
+        if len(views) > 1 and 2 * strangers > frames:
+            problem = f"in {strangers} of {frames} frames nobody whom it sees agrees with the other cameras"
+            remarks.append(f"camera '{view.camera.name}': {problem}: these are other people, or its calibration or its clock is off.")
+    return remarks

@@ -1,6 +1,7 @@
 """Keypoints that come in with a recording: whose they are, where they are written, and what is said of them."""
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -125,6 +126,18 @@ def test_a_camera_without_keypoints(lab, tmp_path):
     session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
     assert [view.keypoints for view in session.views] == ["keypoints/left.npz", None]
     assert read_frame(session, 0).keypoints[1] is None
+
+
+def test_a_camera_that_agrees_with_no_other_is_named(lab, tmp_path):
+    folder = detect(tmp_path / "pose")
+    for path in (folder / "right_json").iterdir():
+        person = np.reshape(json.loads(path.read_text())["people"][0]["pose_keypoints_2d"], (-1, 3))
+        # Upside down.
+        person[:, 1] = SIZE[1] - person[:, 1]
+        path.write_text(json.dumps({"people": [{"pose_keypoints_2d": person.ravel().tolist()}]}))
+    _, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=folder))
+    pattern = re.compile(r"camera 'right': in \d of 6 frames nobody whom it sees agrees with the other cameras: .* calibration or its clock is off")
+    assert any(pattern.match(remark) for remark in remarks)
 
 
 def test_what_is_wrong_is_said(lab, tmp_path):
