@@ -185,7 +185,7 @@ def _clocks(sample: _Sample) -> Sequence[Clock | None]:
         if falls[worst] == 0:
             break
         offsets[worst] += SHIFTS[np.argmin(curves[worst])]
-        if abs(offsets[worst]) >= FARTHEST_SHIFT:
+        if abs(offsets[worst]) >= FARTHEST_SHIFT or offsets.all():
             # Cameras that do not fit, such as wrongly calibrated ones, run away.
             offsets[:] = 0
             break
