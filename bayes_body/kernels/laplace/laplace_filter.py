@@ -108,11 +108,12 @@ class Limits(NamedTuple):
         """Whether a few weights dominate in an attempt."""
         return self._exclude(attempt.is_lost, effective_sample_size(attempt.log_weights), attempt.log_weights.shape[0], attempt.pareto_k)
 
-    def fails(self, info: FilterInfo) -> Flag:
+    def fails(self, info: FilterInfo) -> Any:
         """Whether they do after the last attempt by importance sampling."""
         return self._exclude(info.lost, info.ess, info.ancestors.shape[-1], info.modes["pareto_k"])
 
-    def _exclude(self, is_lost: Flag, ess: Scalar, count: int, pareto_k: Scalar) -> Flag:
+    # Of a program's arrays, and of numbers of NumPy on the host.
+    def _exclude(self, is_lost: Any, ess: Any, count: int, pareto_k: Any) -> Any:
         return is_lost | (ess < self.least_ess * count) | (pareto_k > self.most_k)
 
 
