@@ -15,7 +15,7 @@ import typer
 import bayes_body
 from bayes_body.base.errors import FaultyFileError, InputError, RunWarning, input_error
 from bayes_body.base.files.read import check_native
-from bayes_body.cli import benchmark, check, demo, export, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
+from bayes_body.cli import benchmark, check, demo, export, fit, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
 from bayes_body.cli.surroundings import STOPPED, check_current_folder, fault_of_surroundings, stoppable
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
 
@@ -33,6 +33,7 @@ app = typer.Typer(
 COMMANDS: tuple[tuple[str, Any, str], ...] = (
     ("demo", demo.demo, "Film a simulated walk, track it, compare with the truth."),
     ("import", import_.app, "Make a session from a laboratory's files."),
+    ("fit", fit.fit, "Infer lengths and cameras from keypoints."),
     ("track", track.track, "Track the person in a session."),
     ("smooth", smooth.smooth, "Smooth a run: its frames then know the later ones, too."),
     ("report", report.report, "Write a run's report: one HTML file."),

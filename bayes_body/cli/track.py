@@ -170,14 +170,19 @@ def live_of(folder: Path | None, wait_s: float | None, port: int | None) -> "Liv
 
 def _free_run(session: Path, resume: bool) -> Path:
     """Return `SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
-    from bayes_body.results.storage.names import free_folder
-
     if resume:
         raise input_error("--resume", "no --out", "the folder of the run to continue", "name it with --out")
+    return free_beside(session, "run")
+
+
+def free_beside(session: Path, ending: str) -> Path:
+    """Return `SESSION_ENDING` beside a session, or the next free `SESSION_ENDING_2`, ..."""
+    from bayes_body.results.storage.names import free_folder
+
     folder = session if session.is_dir() else session.parent
     # The name of `.` is empty.
     folder = folder if folder.name not in ("", "..") else folder.resolve()
-    return free_folder(folder.with_name(f"{folder.name}_run"))
+    return free_folder(folder.with_name(f"{folder.name}_{ending}"))
 
 
 def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any]:
@@ -201,12 +206,22 @@ def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any
 def _recording(folder: Path, first_frame: int | None) -> "Session":
     """Return the session from the first frame to track on."""
     from bayes_body.recording.readers.excerpt import excerpt
+
+    return excerpt(session_in(folder), first_frame)
+
+
+def session_in(folder: Path) -> "Session":
+    """Return the session of a folder.
+
+    Raises:
+        InputError: there is none, or it has faults.
+    """
     from bayes_body.recording.session.read import FILE_NAME, load_session
 
     if not folder.exists() or (folder.is_dir() and not (folder / FILE_NAME).exists()):
         problem = f"no {FILE_NAME} in it" if folder.exists() else "no such folder"
         raise input_error(folder, problem, "the folder of a session", "check the path, or make a session with `bayes-body import`")
-    return excerpt(load_session(folder), first_frame)
+    return load_session(folder)
 
 
 def _check_files(session: "Session", frames: int | None, definition: "Definition | None") -> None:

@@ -72,3 +72,21 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     sd = [overall, *matching({**options.bone_sd, **{key: sd for key, sd in BONE_SD.items() if key not in options.bone_sd}}, bones)]
     prior = unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
     return replace(prior, mean=jnp.asarray([0.0, *mean], prior.mean.dtype))
+
+
+def lengths_of(term: Unknown, values: Float[np.ndarray, "*batch entry"]) -> Float[np.ndarray, "*batch length"]:
+    """Return the lengths that values of the unknown mean, metres, in the order of the body file; 0 for a length on which nothing depends."""
+    growth = _growth(term)
+    base, groups = np.asarray(growth.values, float), np.asarray(growth.groups, float)
+    return base * np.exp(values[..., :1] + values[..., 1:] @ groups.T)
+
+
+def log_sd_of(term: Unknown) -> Float[np.ndarray, " length"]:
+    """Return the prior's standard deviation of the logarithm of each length."""
+    variance = np.asarray(term.sd, float) ** 2
+    return np.sqrt(variance[0] + np.asarray(_growth(term).groups, float) ** 2 @ variance[1:])
+
+
+def _growth(term: Unknown) -> Scaling:
+    change: Any = term.change
+    return change.args[0]

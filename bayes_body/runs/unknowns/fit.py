@@ -1,0 +1,134 @@
+"""Infer what is not known of a session from its keypoints, and write a session with the result.
+
+Three filters go over the same frames: with the session as it is, which gives the distances from the keypoints before; with unknowns, in two runs,
+whose difference shows how much is chance; and with the new session, as `track` will see it, which gives the distances after.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.atomic import write_text
+from bayes_body.base.files.lock import locked
+from bayes_body.base.progress import steps_bar
+from bayes_body.initial import Show
+from bayes_body.model.build import build_model
+from bayes_body.model.definition import load_definition
+from bayes_body.recording.session.read import FILE_NAME, save_session
+from bayes_body.recording.session.session import Session
+from bayes_body.runs.unknowns.definition import kernel_of, with_unknowns
+from bayes_body.runs.unknowns.filters import distances_px, filtered, models, stretch_of
+from bayes_body.runs.unknowns.fitted_session import fitted_session
+from bayes_body.runs.unknowns.frames import Stretch, best_stretch, check_cameras
+from bayes_body.runs.unknowns.posterior import Posterior, as_json, posteriors_of
+from bayes_body.runs.unknowns.remarks import farthest_runs, remarks_of
+from bayes_body.runs.unknowns.table import fit_lines
+from bayes_body.view.figures_text import warning_line
+
+FIT_FILE, MODEL, FRAMES, RUNS = "fit.json", "keypoints", 40, 2
+DOING = ("the session as it is", "lengths, cameras and others unknown", "the new session")
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What to fit, and how.
+
+    Attributes:
+        out: folder of the new session.
+        model: name or path of a definition that reads keypoints.
+        frames: number of frames.
+        delays: whether the cameras' delays are unknown, too.
+        seed: seed of everything random.
+    """
+
+    out: Path
+    model: str = MODEL
+    frames: int = FRAMES
+    delays: bool = False
+    seed: int = 0
+
+
+def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[str, Any]:
+    """Infer the unknowns of a session, show them, and write the new session. Return the content of `fit.json`.
+
+    Args:
+        session: the recording.
+        settings: what to fit, and how.
+        show: receives lines for the user.
+        bar: whether to show the progress on standard error.
+
+    Raises:
+        InputError: fewer than two cameras have keypoints, a camera moves, the model does not read keypoints, the folder has a session, or a file
+            cannot be read or written.
+    """
+    plain = load_definition(settings.model)
+    definition = with_unknowns(plain, settings.delays)
+    check_cameras(session)
+    stretch = best_stretch(session, build_model(plain, session).body.markers.names, settings.frames)
+    with locked(settings.out):
+        if (settings.out / FILE_NAME).exists():
+            raise input_error(settings.out, f"already holds a {FILE_NAME}", "a folder without one", "name another with --out")
+        show(_frames_line(session, stretch))
+        key, part = jax.random.key(settings.seed), stretch_of(session, stretch)
+        with steps_bar(len(DOING) * stretch.frames, DOING[0]) if bar else nullcontext(None) as step:
+            before_model, model = models([plain, definition], part, stretch, show)
+            before_px = distances_px(part, filtered(key, part, before_model, stretch, 1, on_frame=_counting(step, 0, stretch)), stretch)
+            drawn = filtered(key, part, model, stretch, RUNS, kernel_of(model), _counting(step, 1, stretch))
+            posteriors = posteriors_of(model, drawn.frames[-1])
+            new = fitted_session(session, settings.out, definition, posteriors)
+            new_part = stretch_of(new, stretch)
+            (after_model,) = models([plain], new_part, stretch, _silent)
+            after_px = distances_px(new_part, filtered(key, new_part, after_model, stretch, 1, on_frame=_counting(step, 2, stretch)), stretch)
+        remarks, names = remarks_of(posteriors, drawn, session), [view.camera.name for view in session.views]
+        _show(posteriors, names, before_px, after_px, remarks, show)
+        distances = {name: {"before": b, "after": a} for name, b, a in zip(names, before_px, after_px, strict=True)}
+        content = {
+            "session": str(session.folder.resolve()),
+            "model": definition.name,
+            "seed": settings.seed,
+            "frames": [part.frame_number(index) for index in stretch.indices],
+            "unknowns": as_json(posteriors),
+            "joints_to_keypoints_px": distances,
+            "warnings": remarks,
+        }
+        write_text(settings.out / FIT_FILE, json.dumps(content, indent=2) + "\n")
+        save_session(new)
+    return content
+
+
+def _frames_line(session: Session, stretch: Stretch) -> str:
+    first, last = (session.frame_number(index) for index in (stretch.first, stretch.first + stretch.span - 1))
+    every = "" if stretch.step == 1 else f", one of {stretch.step}"
+    return f"frames      {stretch.frames}, from {first} to {last}{every}: those in which two or more cameras see most"
+
+
+def _show(
+    posteriors: dict[str, Posterior], cameras: Sequence[str], before_px: Sequence[float], after_px: Sequence[float], remarks: list[str], show: Show
+) -> None:
+    for line in fit_lines(posteriors, cameras, before_px, after_px):
+        show(line)
+    entry, disagreement = farthest_runs(posteriors)
+    show("")
+    show(f"agreement   the means of the two runs differ by at most {disagreement:.2f} standard deviations ({entry})")
+    for sentence in remarks:
+        show(warning_line(sentence))
+
+
+def _counting(step: Callable[[int, str], None] | None, filters: int, stretch: Stretch) -> Callable[[int], None]:
+    """Return what is called after each frame of a filter, after so many other filters."""
+
+    def count(frames: int) -> None:
+        if step:
+            step(filters * stretch.frames + frames, DOING[min(filters + (frames == stretch.frames), len(DOING) - 1)])
+
+    return count
+
+
+def _silent(line: str) -> None:
+    pass

@@ -1,0 +1,138 @@
+"""`bayes-body fit`: cameras that were moved on purpose move back, and sessions that it cannot serve are refused."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_body.base.geometry.camera import project
+from bayes_body.model.build import build_model
+from bayes_body.model.definition import load_definition, parse_definition
+from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.rig import read_rig
+from bayes_body.recording.session.read import load_session, save_session
+from bayes_body.recording.session.session import Session, Subject, View
+from bayes_body.runs.unknowns.definition import with_unknowns
+from bayes_body.runs.unknowns.fitted_session import moved_spec
+
+RIG = Path(__file__).parents[2] / "models" / "rigs" / "room_4.toml"
+FRAMES, NOISE_PX, HEIGHT_M, TALLER_M = 20, 2.0, 1.75, 1.80
+TURN_RAD, MOVE_M = np.radians(0.5), 0.02
+
+
+def walk(model):
+    """Poses of somebody who walks on through the room, swinging arms and legs, and turns."""
+    phase = np.linspace(0, 1.5 * np.pi, FRAMES)
+    poses = np.zeros((FRAMES, len(model.body.dof_names)))
+    swing = {"l_hip_y": 25, "r_hip_y": -25, "l_shoulder_y": -20, "r_shoulder_y": 20, "thorax_z": 4}
+    level = {"l_knee": -30, "r_knee": -30, "l_elbow": -50, "r_elbow": -35, "l_shoulder_x": -12, "r_shoulder_x": 12}
+    for name, degrees in level.items():
+        poses[:, model.body.dof_names.index(name)] = np.radians(degrees)
+    for name, degrees in swing.items():
+        poses[:, model.body.dof_names.index(name)] = np.radians(degrees) * np.sin(phase)
+    for name, values in {"root_x": np.linspace(-0.6, 0.6, FRAMES), "root_z": 0.95, "root_yaw": np.linspace(0, 0.6, FRAMES)}.items():
+        poses[:, model.body.dof_names.index(name)] = values
+    return poses
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A session with wrong cameras, and the motion that each would have to make; the person is taller than it says."""
+    rng = np.random.default_rng(11)
+    views = []
+    for camera in read_rig(RIG).cameras:
+        (tmp_path / camera.name).mkdir()
+        for frame in range(FRAMES):
+            (tmp_path / camera.name / f"{frame}.png").touch()
+        views.append(View(camera, f"{camera.name}/%d.png", keypoints=f"{camera.name}.npz"))
+    session = Session(tmp_path, "a walk", "z", 20.0, FRAMES, 0, tuple(views), Subject(height_m=TALLER_M))
+    model = build_model("keypoints", session)
+    places = jax.vmap(model.markers)(jnp.asarray(walk(model), jnp.float32))
+    names = model.body.markers.names
+    wrong, motions = [], []
+    for index, view in enumerate(views):
+        pixels, _ = project(jax.tree.map(lambda leaf, index=index: leaf[index], model.rig), places)
+        points = np.full((FRAMES, len(MARKERS), 3), np.nan)
+        points[:, [MARKERS.index(name) for name in names], :2] = np.asarray(pixels) + NOISE_PX * rng.normal(size=pixels.shape)
+        points[..., 2] = 0.9
+        write_series(tmp_path / f"{view.camera.name}.npz", KeypointSeries(points, MARKERS, 0))
+        motion = np.concatenate([TURN_RAD * np.sign(rng.normal(size=3)), MOVE_M * np.sign(rng.normal(size=3))]) / np.sqrt(3)
+        camera = moved_spec(view.camera, inverse(motion))
+        np.testing.assert_allclose(moved_spec(camera, motion).translation_m, view.camera.translation_m, atol=1e-12)
+        wrong.append(dataclasses.replace(view, camera=camera))
+        motions.append(motion)
+    session = dataclasses.replace(session, views=tuple(wrong), subject=Subject(height_m=HEIGHT_M))
+    save_session(session)
+    return session, np.array(motions)
+
+
+def inverse(motion):
+    """The motion of a camera that is undone by this one: it moves before it turns."""
+    from scipy.spatial.transform import Rotation
+
+    return np.concatenate([-motion[:3], -Rotation.from_rotvec(-motion[:3]).apply(motion[3:])])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
+def test_cameras_move_back(cli, recording, tmp_path):
+    session, motions = recording
+    done = cli("fit", session.folder, "--out", tmp_path / "new", "--frames", FRAMES)
+    assert done.status == 0, done.err
+    content = json.loads((tmp_path / "new" / "fit.json").read_text(encoding="utf-8"))
+    entries = content["unknowns"]["cameras"]
+    mean, sd, prior_sd = (np.array([entry[key] for entry in entries]).reshape(motions.shape) for key in ("mean", "sd", "prior_sd"))
+    assert np.abs((mean - motions) / sd).max() < 3
+    # Turns are well determined: at most the common one of rig and person is left.
+    assert (sd[:, :3] < 0.7 * prior_sd[:, :3]).all()
+    assert np.linalg.norm((mean - motions)[:, :3]) < 0.8 * np.linalg.norm(motions[:, :3])
+    for distances in content["joints_to_keypoints_px"].values():
+        assert distances["after"] < 0.75 * distances["before"]
+    new = load_session(tmp_path / "new")
+    assert new.subject.lengths_m.keys() >= {"torso", "l_thigh", "r_calf"}
+    for view, before, motion in zip(new.views, session.views, mean, strict=True):
+        wanted = moved_spec(before.camera, motion)
+        np.testing.assert_allclose(view.camera.rotation, wanted.rotation, atol=1e-9)
+        np.testing.assert_allclose(view.camera.translation_m, wanted.translation_m, atol=1e-8)
+        assert new.keypoints_path(view) == session.keypoints_path(before)
+        assert new.image_path(view, 3) == session.image_path(before, 3)
+
+
+def test_a_definition_with_unknowns_keeps_its_own():
+    plain = load_definition("keypoints")
+    free = with_unknowns(plain, delays=True)
+    assert [term.kind for term in free.unknowns] == ["lengths", "cameras", "keypoint_offsets", "delays"]
+    # The first pose was fitted with what is in doubt: nothing of it holds but what the motion prior says of rest.
+    assert set(free.first.sd_deg.values()) == {30.0, *(sd for name, sd in plain.dynamics.options.spread_deg.items() if "root" not in name)}
+    chosen = parse_definition("mine", f'{plain.text}\n[[unknown]]\nkind = "cameras"\nturn_sd_deg = 2.0\n', plain.body_text)
+    assert with_unknowns(chosen, delays=False) is chosen
+    late = with_unknowns(chosen, delays=True)
+    assert [term.kind for term in late.unknowns] == ["cameras", "delays"]
+    assert (late.unknowns[0].options.turn_sd_deg, late.first) == (2.0, chosen.first)
+
+
+def changed(session, folder, keep=None, **changes):
+    views = session.views if keep is None else session.views[:keep]
+    views = tuple(dataclasses.replace(view, **changes) for view in views)
+    return save_session(dataclasses.replace(session, folder=folder, views=views)).parent
+
+
+def test_sessions_without_enough_are_refused(cli, recording, tmp_path):
+    session, _ = recording
+    cli("fit", changed(session, tmp_path / "a", keypoints=None)).refuses("no cameras with keypoints", "--keypoints")
+    cli("fit", changed(session, tmp_path / "b", keep=1)).refuses("1 camera with keypoints", "a small person")
+    cli("fit", changed(session, tmp_path / "c", path="moves.npz")).refuses("camera 'C1'", "it moves")
+    (tmp_path / "d").mkdir()
+    empty = KeypointSeries(np.full((FRAMES, len(MARKERS), 3), np.nan), MARKERS, 0)
+    write_series(tmp_path / "d" / "none.npz", empty)
+    cli("fit", changed(session, tmp_path / "d", keypoints="none.npz")).refuses("no frame in which two cameras see the same 4 joints")
+    cli("fit", session.folder, "--model", "silhouettes").refuses("model 'silhouettes'", "a model that reads keypoints")
+    cli("fit", session.folder, "--out", session.folder).refuses("already holds a session.toml", "--out")
+    cli("fit", session.folder, "--frames", 4).refuses("--frames", "from 5 to 20")
+    cli("fit", tmp_path / "nowhere").refuses("no such folder")
+    assert not list(tmp_path.glob("*_fit"))
