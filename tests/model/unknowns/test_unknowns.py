@@ -23,10 +23,17 @@ KINDS = ("lengths", "widths", "cameras", "delays", "keypoint_offsets", "noise")
 LIKELIHOOD, WALLS = "markers_gaussian", "intersection"
 
 
-def with_unknowns(name, *kinds, extra=""):
+def without_unknowns(name):
+    """The text of a model without its own unknowns."""
     definition = load_definition(name)
+    begin, end = definition.text.find("[[unknown]]"), definition.text.find("[kernel]")
+    return (definition.text if begin < 0 else definition.text[:begin] + definition.text[end:]), definition.body_text
+
+
+def with_unknowns(name, *kinds, extra=""):
+    text, body_text = without_unknowns(name)
     tables = "".join(f'\n[[unknown]]\nkind = "{kind}"\n{extra}' for kind in kinds)
-    return parse_definition(name, definition.text + tables, definition.body_text)
+    return parse_definition(name, text + tables, body_text)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +43,7 @@ def model(keypoint_session):
 
 @pytest.fixture(scope="module")
 def known(keypoint_session):
-    return build_model("keypoints", keypoint_session)
+    return build_model(with_unknowns("keypoints"), keypoint_session)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +106,7 @@ def test_lengths_are_those_of_a_body_that_is_built_with_them(model, keypoint_ses
     height = keypoint_session.subject.height_m or schema.height_m
     lengths = {name: share * height * np.exp(change[0] + change[labels.index(stems[name])]) for name, share in schema.lengths_of_height.items()}
     subject = Subject(body=model.definition.body_name, lengths_m=lengths)
-    other = build_model("keypoints", dataclasses.replace(keypoint_session, subject=subject))
+    other = build_model(with_unknowns("keypoints"), dataclasses.replace(keypoint_session, subject=subject))
     np.testing.assert_allclose(expected(model, lengths=change)[..., :2], expected(other), atol=2e-3)
     body = build_body(model.body.name, schema, Shape(None, lengths))
     state = values(model, lengths=change)
@@ -244,6 +251,6 @@ FAULTY = {
 @pytest.mark.parametrize("case", FAULTY)
 def test_a_faulty_table_is_named(case):
     text, sentence = FAULTY[case]
-    definition = load_definition("keypoints")
+    known_text, body_text = without_unknowns("keypoints")
     with pytest.raises(FaultyFileError, match=sentence):
-        parse_definition("keypoints", f"{definition.text}\n{text}", definition.body_text)
+        parse_definition("keypoints", f"{known_text}\n{text}", body_text)
