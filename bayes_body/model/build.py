@@ -157,11 +157,11 @@ class Model:
 
     def body_in(self, state: State) -> Body:
         """Return the body of a state: that of the subject, changed by what the state says of its lengths and widths."""
-        return with_changes(self._body_terms, self.body, variables(state))
+        return with_changes(tuple(term for term in self._body_terms if term.name in state), self.body, variables(state))
 
     def rig_in(self, state: State) -> Camera:
         """Return the cameras of a state: those of the session, moved by what the state says of them."""
-        return with_changes(tuple(term for term in self.unknowns if term.node is Camera), self.rig, variables(state))
+        return with_changes(tuple(term for term in self.unknowns if term.node is Camera and term.name in state), self.rig, variables(state))
 
     def settled(self, state: State) -> "Model":
         """Return the model with the body and the cameras of a state, such as a mean, for pictures and for the fit to a frame. It has no unknowns."""

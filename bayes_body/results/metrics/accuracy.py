@@ -79,8 +79,8 @@ def frame_accuracy(
 
 
 def inside_intervals(
-    cloud: Float[np.ndarray, "particle marker 3"], weights: Float[np.ndarray, " particle"], truth: Float[np.ndarray, "marker 3"]
-) -> Bool[np.ndarray, "level marker 3"]:
+    cloud: Float[np.ndarray, "particle marker axis"], weights: Float[np.ndarray, " particle"], truth: Float[np.ndarray, "marker axis"]
+) -> Bool[np.ndarray, "level marker axis"]:
     """Return whether the truth lies inside the weighted equal-tailed interval of each of LEVELS, for each axis separately."""
     below, up_to = (weights @ side.reshape(len(cloud), -1) for side in (cloud < truth, cloud <= truth))
     ends = [((1 - level) / 2 - ROUNDING, (1 + level) / 2 - ROUNDING) for level in LEVELS]

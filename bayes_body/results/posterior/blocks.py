@@ -94,6 +94,8 @@ def placing_blocks(
 ) -> Iterator[tuple[Block, dict[str, NDArray[np.floating]]]]:
     """Yield the blocks of the variable that places the body, each with the values of the unknowns that change the body, by name.
 
+    Unknowns that the tree does not hold are left out: the body is the subject's then.
+
     Args:
         tree: as for `pose_blocks`.
         placing: `Model.placing`.
@@ -101,9 +103,9 @@ def placing_blocks(
         block: as for `pose_blocks`.
         width: as for `pose_blocks`.
     """
-    variable, *change_names = placing
+    variable, *change_names = (name for name in placing if name == placing[0] or name in tree["posterior"])
     width = width or tree["posterior"][variable].isel(chain=0, draw=0, frame=0).size
-    by_name = (pose_blocks(tree, frames, block, width, name) for name in placing)
+    by_name = (pose_blocks(tree, frames, block, width, name) for name in (variable, *change_names))
     for first, *changes in zip(*by_name, strict=True):
         yield first, {name: change.poses for name, change in zip(change_names, changes, strict=True)}
 

@@ -138,7 +138,11 @@ class SavedRun:
         """
         group, weights = self.tree["posterior"], np.exp(np.asarray(self.tree["sample_stats"]["log_weight"].isel(frame=-1), float))
         weights = weights / weights.sum()
-        means = {term.name: np.tensordot(weights, np.asarray(group[term.name].isel(frame=-1), float), 2) for term in self.model.unknowns}
+        means = {
+            term.name: np.tensordot(weights, np.asarray(group[term.name].isel(frame=-1), float), 2)
+            for term in self.model.unknowns
+            if term.name in group
+        }
         return self.model.settled({name: jnp.asarray(mean, self.model.body.lengths.dtype) for name, mean in means.items()})
 
     @cached_property

@@ -7,7 +7,7 @@ whose difference shows how much is chance; and with the new session, as `track` 
 import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +67,9 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         InputError: fewer than two cameras have keypoints, a camera moves, the model does not read keypoints, the folder has a session, or a file
             cannot be read or written.
     """
-    plain = load_definition(settings.model)
-    definition = with_unknowns(plain, settings.delays)
+    definition = with_unknowns(load_definition(settings.model), settings.delays)
+    # The same model takes the session's word, before and after.
+    plain = replace(definition, unknowns=())
     check_cameras(session)
     stretch = best_stretch(session, build_model(plain, session).body.markers.names, settings.frames)
     with locked(settings.out):

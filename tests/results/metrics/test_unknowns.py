@@ -63,7 +63,7 @@ def test_runs_that_disagree_about_an_unknown_have_a_large_rhat(model):
 
 
 def test_what_does_not_exist_is_none(model, keypoint_session):
-    assert unknown_figures(build_model("arm_markers", keypoint_session), None, 0) == {}
+    assert unknown_figures(build_model("arm_markers", keypoint_session), frame_of(model), 0) == {}
     single = frame_of(model)
     single = FrameResult({name: values[:1] for name, values in single.states.items()}, single.log_weights[:1], None, single.seen, 0.0)
     figures = unknown_figures(model, single, 0, is_sample=False)

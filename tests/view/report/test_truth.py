@@ -49,7 +49,7 @@ def test_without_a_truth_there_is_no_section_and_with_one_it_is_led_to(inspect, 
     it = inspect(**ARM, pose=pose, truth=truth_of(arm, centres, [0, 0, 0.01]))
     with style():
         found = parse(fitted(it, [truth_section(it)], LARGEST))
-    led_to = [name for name, _, _ in SECTIONS if name not in ("gait", "joint", "chains", "messages")]
+    led_to = [name for name, _, _ in SECTIONS if name not in ("gait", "joint", "chains", "messages", "unknowns")]
     assert [each["href"][1:] for each in found.of("a")] == led_to == [name for name, _, _ in sections_of(it)]
     assert [each["id"] for each in found.of("section")] == ["truth"]
     without = inspect()
