@@ -153,7 +153,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faulty_unknowns_are_found_out(laplace, fault):
     p = p_values(laplace(**FAULTS[fault]))
@@ -162,7 +162,7 @@ def test_faulty_unknowns_are_found_out(laplace, fault):
     assert p.min() <= looks.limits(0, 1, len(p)).fails
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_long_delays_are_too_certain(problem, laplace):
     """A delay times a velocity is not normal, and one Gaussian a frame is too sure of it (docs/decisions/47_unknowns.md). Nothing else suffers."""
     runs = laplace(STATIC, delay_sd=LONG)
