@@ -216,7 +216,8 @@ def _unknowns(definition: Definition, body: Body, rig: Camera, session: Session)
     names = tuple(view.camera.name for view in session.views)
     shape = _shape(session.subject, definition)
     setting = Setting(body, definition.body, rig, names, session.fps, shape.height_m is not None, frozenset(shape.lengths_m))
-    return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in definition.unknowns)
+    enough = [term for term in definition.unknowns if _cameras(definition, session) >= getattr(term.options, "least_cameras", 1)]
+    return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in enough)
 
 
 def _check_read(unknowns: Sequence[Unknown], factors: Sequence[Factor], state: State) -> None:

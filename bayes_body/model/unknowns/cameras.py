@@ -17,15 +17,15 @@ from jaxtyping import Array, Float
 from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Rotation, Vector3
-from bayes_body.base.toml.schema import NonNegative, Positive, Schema
+from bayes_body.base.toml.schema import NonNegative, Positive
 from bayes_body.density.factor import Variables
-from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
 
 NAME = "cameras"
 MOTION = ("turn_x", "turn_y", "turn_z", "move_x", "move_y", "move_z")
 
 
-class Options(Schema):
+class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "cameras"`: standard deviations about the calibration, for each camera and each axis."""
 
     turn_sd_deg: Positive = 0.5

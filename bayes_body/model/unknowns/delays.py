@@ -11,15 +11,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Variable, Variables
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
-from bayes_body.model.unknowns.unknown import Setting, Unknown, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
 
 NAME, VELOCITY = "delays", "velocity"
 
 
-class Options(Schema):
+class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "delays"`, which needs `[dynamics] kind = "constant_velocity"`."""
 
     sd_s: Positive = 0.02

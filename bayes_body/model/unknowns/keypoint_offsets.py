@@ -16,10 +16,10 @@ from jaxtyping import Array, Float, Int
 
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
 from bayes_body.recording.evidence.markers import KEYPOINTS
 
 NAME = "keypoint_offsets"
@@ -27,7 +27,7 @@ SD_M = {"*hip": 0.025, "pelvis": 0.025, "*shoulder": 0.02, "thorax": 0.02, "head
 AXES = "xyz"
 
 
-class Options(Schema):
+class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "keypoint_offsets"`."""
 
     sd_m: Mapping[str, Positive] = {}

@@ -19,17 +19,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Finite, Positive, Schema
+from bayes_body.base.toml.schema import Finite, Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
 
 NAME, OVERALL = "lengths", "overall"
 BONE_SD = {"*clavicle": 0.12, "*pelvis": 0.15, "head": 0.10, "torso": 0.08, "*": 0.06}
 
 
-class Options(Schema):
+class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "lengths"`: relative standard deviations."""
 
     overall_sd: Positive = 0.05

@@ -26,6 +26,7 @@ from numpyro.distributions import Distribution, Normal
 from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.shapes import Key, Scalar
+from bayes_body.base.toml.schema import Count, Schema
 from bayes_body.density.factor import Factor, Side, State, Variables
 from bayes_body.density.spaces import Flat, euclidean
 from bayes_body.kernels.smc.moment_correction import noise_beside
@@ -55,6 +56,13 @@ class Setting(NamedTuple):
     fps: float
     has_height: bool
     measured: frozenset[str] = frozenset()
+
+
+class UnknownSchema(Schema):
+    """Options of every unknown."""
+
+    least_cameras: Count = 2
+    """with fewer cameras that have what the model reads, the session's word is taken as exact. One view tells little of sizes and places."""
 
 
 def unchanged(node: Any) -> Any:

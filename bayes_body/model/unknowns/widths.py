@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Positive, Schema
+from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
 
 NAME = "widths"
 
 
-class Options(Schema):
+class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "widths"`: relative standard deviations of the parts' radii, left and right alike."""
 
     sd: Mapping[str, Positive] = {"*": 0.1}

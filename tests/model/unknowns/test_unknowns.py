@@ -92,6 +92,15 @@ def test_at_their_mean_nothing_changes(model, known, data):
     assert set(state) == set(known.initial) == {"pose", "velocity"}
 
 
+def test_with_one_camera_the_session_is_taken_as_exact(keypoint_session):
+    single = dataclasses.replace(keypoint_session, views=keypoint_session.views[:1])
+    assert build_model("keypoints", single).unknowns == ()
+    assert [term.name for term in build_model("keypoints", keypoint_session).unknowns] == ["lengths", "cameras", "keypoint_offsets"]
+    text, body_text = without_unknowns("keypoints")
+    definition = parse_definition("keypoints", f'{text}\n[[unknown]]\nkind = "lengths"\nleast_cameras = 1\n', body_text)
+    assert [term.name for term in build_model(definition, single).unknowns] == ["lengths"]
+
+
 def test_without_unknowns_factors_are_as_they_were(known):
     assert known.unknowns == ()
     assert known.settled(known.initial) is known
