@@ -26,6 +26,7 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.definition import Definition, evidence_of, load_body, load_definition
 from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, few_cameras, kernel_of, kernel_options
+from bayes_body.model.unknown_terms import check_read, unknowns_of
 from bayes_body.model.unknowns.apply import factor_with, settled_factor, transition_with, with_changes
 from bayes_body.model.unknowns.unknown import SIDES, Setting, Unknown
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
@@ -188,54 +189,23 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
         InputError: the definition or the session's subject cannot be used.
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
-    body = body_of(definition, _shape(session.subject, definition))
+    cameras, shape = _cameras(definition, session), _shape(session.subject, definition)
+    body = body_of(definition, shape)
     rig = stack([_camera(view.camera) for view in session.views])
     factors, observers = _likelihoods(definition, body, rig)
     for index, term in enumerate(definition.constraints):
         name = f"{term.kind}_{index + 1}" if index else term.kind
         factors.append(find("potential", term.kind).build(name=name, options=term.options, body=body))
-    unknowns = _unknowns(definition, body, rig, session)
+    names = tuple(view.camera.name for view in session.views)
+    setting = Setting(body, definition.body, rig, names, session.fps, shape.height_m is not None, frozenset(shape.lengths_m))
+    unknowns = unknowns_of(definition, setting, cameras)
     gaps = (1.0, max(1.0, FOUND_S * session.fps))
     transition, after_found = (transition_with(_transition(definition, body, session, gap), unknowns) for gap in gaps)
     first = first_of(definition.first, body, _initial_pose(session, body, definition), transition)
     _check_derived(transition, first.mode)
-    _check_read(unknowns, factors, first.mode)
+    check_read(unknowns, factors, first.mode)
     changed = tuple(factor_with(factor, unknowns) for factor in factors)
-    return Model(definition, body, rig, transition, after_found, changed, first, observers, _cameras(definition, session), unknowns)
-
-
-def _unknowns(definition: Definition, body: Body, rig: Camera, session: Session) -> tuple[Unknown, ...]:
-    """Return the unknowns of a definition.
-
-    Raises:
-        InputError: the body is placed by parts, whose coordinates have no room for them.
-    """
-    if definition.unknowns and definition.placement == PARTS:
-        setting, expected = f"[[unknown]] kind = '{definition.unknowns[0].kind}'", 'a body with placement = "angles"'
-        raise input_error(setting, 'with a body that is placed by "parts"', expected, "take the table out, or place the body by angles")
-    names = tuple(view.camera.name for view in session.views)
-    shape = _shape(session.subject, definition)
-    setting = Setting(body, definition.body, rig, names, session.fps, shape.height_m is not None, frozenset(shape.lengths_m))
-    enough = [term for term in definition.unknowns if _cameras(definition, session) >= getattr(term.options, "least_cameras", 1)]
-    return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in enough)
-
-
-def _check_read(unknowns: Sequence[Unknown], factors: Sequence[Factor], state: State) -> None:
-    """Check that each unknown changes a factor, and that the motion prior has the variables that it needs.
-
-    Raises:
-        InputError: one does not, or a variable is missing.
-    """
-    for term in unknowns:
-        if not any(term.concerns(factor) for factor in factors):
-            problem = f"no term of the model reads it: {', '.join(factor.name for factor in factors)}"
-            raise input_error(f"unknown '{term.name}'", problem, "a term that does", "take the table out, or add a likelihood that reads it")
-        if not term.space.dimension:
-            raise input_error(f"unknown '{term.name}'", "nothing to know in this session", "at least one entry", "take the table out")
-        for name in term.reads:
-            if name not in state:
-                problem = f"the motion prior has no variable '{name}'"
-                raise input_error(f"unknown '{term.name}'", problem, "one that has", 'take [dynamics] kind = "constant_velocity"')
+    return Model(definition, body, rig, transition, after_found, changed, first, observers, cameras, unknowns)
 
 
 def _cameras(definition: Definition, session: Session) -> int:

@@ -42,7 +42,9 @@ def _redone(summary: Mapping[str, Any]) -> list[str]:
     if summary.get("redone_starts_share") is None:
         return []
     starts, tempered = (100 * summary[f"redone_{how}_share"] for how in ("starts", "tempered"))
-    return [f"done again  {starts:.1f} % of the frames from more starts, {tempered:.1f} % by the kernel tempered"]
+    doubtful = summary.get("normal_doubtful_share")
+    doubt = f"; a normal distribution fits {100 * doubtful:.1f} % badly (Pareto k above 0.7)" if doubtful else ""
+    return [f"done again  {starts:.1f} % of the frames from more starts, {tempered:.1f} % by the kernel tempered{doubt}"]
 
 
 def _joint(summary: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,8 @@
 The kernels here add whole multiples of a power of two, so that no program rounds otherwise than another.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,7 +98,12 @@ def test_laplace_falls_back_in_tracking_as_it_does_alone(keypoint_session, monke
     monkeypatch.setattr(laplace_filter, "_limits", lambda options: laplace_filter.Limits(options.most_k, 2.0))
     kernel = laplace_filter.build_kernel()
     draws = track(KEY, keypoint_session, model, kernel, 256, runs=2, frames=3)
-    assert (draws.info.modes["attempt"] == 2).all() and diagnose(to_datatree(draws)).redone == (0.0, 1.0)
+    diagnosis = diagnose(to_datatree(draws))
+    assert (draws.info.modes["attempt"] == 2).all() and diagnosis.redone == (0.0, 1.0)
+    # The fallback did what no normal distribution fits; without it, every frame with a large k would count.
+    assert diagnosis.doubtful_share(-np.inf) == 0.0
+    without = dataclasses.replace(diagnosis, attempts=np.zeros_like(diagnosis.attempts), attempt_k=np.array([[0.8, 0.6, np.nan], [0.9, 0.1, 0.71]]))
+    assert without.doubtful_share(0.7) == 0.5
 
     def in_one_program(key, particles, density):
         return kernel(key, particles, density)

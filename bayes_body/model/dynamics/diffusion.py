@@ -42,21 +42,21 @@ def by_part(table: Mapping[str, float], names: tuple[str, ...], field: str) -> l
     _check_keys(table, names, field, "part")
     numbers = []
     for name in names:
-        key = _key_of(name, table)
+        key = key_of(name, table)
         if key is None:
             raise InputError(f"{field}: none for the part '{name}'; expected one for every part; add '{name}' or a pattern.")
         numbers.append(table[key])
     return numbers
 
 
-def by_dof(table: Mapping[str, float], names: tuple[str, ...], field: str) -> dict[str, float]:
-    """The numbers of those dofs that have one, from names or patterns.
+def by_dof(table: Mapping[str, float], names: tuple[str, ...], field: str, kind: str = "dof") -> dict[str, float]:
+    """The numbers of those dofs, or things of another kind, that have one, from names or patterns.
 
     Raises:
-        InputError: a key matches no dof.
+        InputError: a key matches none of them.
     """
-    _check_keys(table, names, field, "dof")
-    return {name: table[key] for name in names if (key := _key_of(name, table)) is not None}
+    _check_keys(table, names, field, kind)
+    return {name: table[key] for name in names if (key := key_of(name, table)) is not None}
 
 
 def standard_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], topology: Topology, prefix: str = "") -> dict[str, float]:
@@ -93,13 +93,14 @@ def known_deviations(sd_deg: Mapping[str, float], sd_m: Mapping[str, float], top
                 measure = "degrees" if unit == "rad" else "metres"
                 raise InputError(f"{place}{field}.{key}: matches no dof of the body in {measure}; {nearest(key, dofs)}")
         for name in dofs:
-            key = _key_of(name, table)
+            key = key_of(name, table)
             if key is not None:
                 deviations[name] = table[key] * si
     return deviations
 
 
-def _key_of(name: str, table: Mapping[str, float]) -> str | None:
+def key_of(name: str, table: Mapping[str, float]) -> str | None:
+    """Return the key of a table that is meant for a name: the name itself, or the first pattern that matches; None if there is none."""
     return name if name in table else next((pattern for pattern in table if fnmatchcase(name, pattern)), None)
 
 

@@ -19,7 +19,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
 from bayes_body.recording.evidence.markers import KEYPOINTS
 
 NAME = "keypoint_offsets"
@@ -48,8 +48,7 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one body."""
     names, bone_axes = setting.body.markers.names, _bones(setting.body)
     places = [(m, axis) for m, name in enumerate(names) if name in KEYPOINTS for axis in range(3) if bone_axes[m] != axis]
-    defaults = {key: sd for key, sd in SD_M.items() if key not in options.sd_m}
-    sd = matching({**options.sd_m, **defaults}, tuple(names[m] for m, _ in places))
+    sd = deviations(options.sd_m, SD_M, tuple(names[m] for m, _ in places), "unknown 'keypoint_offsets': sd_m", "marker")
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
     index = device_array(np.array(places, np.int32), np.int32)
     return unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, sides=("likelihood",))

@@ -23,7 +23,7 @@ from bayes_body.base.toml.schema import Finite, Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
 
 NAME, OVERALL = "lengths", "overall"
 BONE_SD = {"*clavicle": 0.12, "*pelvis": 0.15, "head": 0.10, "torso": 0.08, "*": 0.06}
@@ -66,10 +66,10 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     used = np.asarray(growth.groups).T @ (np.asarray(growth.values) != 0) > 0
     growth = growth._replace(groups=growth.groups[:, np.flatnonzero(used)])
     bones = tuple(name for name, is_used in zip(bones, used, strict=True) if is_used)
-    means = matching({**options.bone_mean, **({} if "*" in options.bone_mean else {"*": 0.0})}, bones)
+    means = deviations(options.bone_mean, {"*": 0.0}, bones, "unknown 'lengths': bone_mean", "bone")
     mean = [0.0 if {name, f"l_{name}", f"r_{name}"} & setting.measured else value for name, value in zip(bones, means, strict=True)]
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
-    sd = [overall, *matching({**options.bone_sd, **{key: sd for key, sd in BONE_SD.items() if key not in options.bone_sd}}, bones)]
+    sd = [overall, *deviations(options.bone_sd, BONE_SD, bones, "unknown 'lengths': bone_sd", "bone")]
     prior = unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
     return replace(prior, mean=jnp.asarray([0.0, *mean], prior.mean.dtype))
 

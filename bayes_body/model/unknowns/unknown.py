@@ -29,9 +29,10 @@ from bayes_body.base.shapes import Key, Scalar
 from bayes_body.base.toml.schema import Count, Schema
 from bayes_body.density.factor import Factor, Side, State, Variables
 from bayes_body.density.spaces import Flat, euclidean
-from bayes_body.kernels.smc.moment_correction import noise_beside
+from bayes_body.kernels.laplace.proposal import balanced_noise
 from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.solids import Body
+from bayes_body.model.dynamics.diffusion import by_dof, key_of
 
 SIDES: tuple[Side, ...] = ("prior", "likelihood", "constraint")
 
@@ -168,31 +169,27 @@ def unknown_about_zero(
     )
 
 
-def matching(table: Mapping[str, float], names: tuple[str, ...]) -> list[float]:
-    """Return the number of each name: of the name itself, or of the first pattern that matches."""
-    from fnmatch import fnmatchcase
-
-    return [table[name] if name in table else next(value for pattern, value in table.items() if fnmatchcase(name, pattern)) for name in names]
-
-
-def prior_draws(key: Key, unknowns: tuple[Unknown, ...], states: State) -> dict[str, Array]:
-    """Return draws of the unknowns for the particles of a first frame, with a leading particle axis.
-
-    They have the prior's mean and covariance exactly, and none with the other variables, if there are enough particles. In many dimensions, the
-    covariance of independent draws differs much from the prior's: with 512 draws of 100 entries, variances in some directions are twice too large.
+def deviations(table: Mapping[str, float], usual: Mapping[str, float], names: tuple[str, ...], field: str, kind: str) -> list[float]:
+    """Return the number of each name: that of the user's table, by name or by the first pattern that matches, else the usual one.
 
     Args:
-        key: random key.
-        unknowns: what to draw.
-        states: the other variables of the particles.
+        table: the user's.
+        usual: patterns; `*` matches the rest.
+        names: names of bones, parts or markers.
+        field: the table in error messages.
+        kind: what the names name, in error messages.
+
+    Raises:
+        InputError: a key of the user's table matches no name.
     """
-    count = next(iter(states.values())).shape[0]
-    columns = jnp.concatenate([values.reshape(count, -1) for values in states.values()], axis=1)
-    # A variable that is the same in all particles has no covariance. Anything may stand in its place.
-    other_key, key = jax.random.split(key)
-    columns = jnp.where(jnp.std(columns, axis=0) > 0, columns, jax.random.normal(other_key, columns.shape, columns.dtype))
-    noise = noise_beside(key, columns, jnp.zeros(count, columns.dtype), sum(term.sd.shape[0] for term in unknowns))
-    pieces = jnp.split(noise, np.cumsum([term.sd.shape[0] for term in unknowns])[:-1], axis=1)
+    numbers = by_dof(table, names, field, kind)
+    return [numbers[name] if name in numbers else usual[key_of(name, usual) or "*"] for name in names]
+
+
+def prior_draws(key: Key, unknowns: tuple[Unknown, ...], count: int) -> dict[str, Array]:
+    """Return draws of the unknowns, (draw, entry) each, which have the prior's mean and covariance exactly if there are enough of them."""
+    sizes = [term.sd.shape[0] for term in unknowns]
+    pieces = jnp.split(balanced_noise(key, count, sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
     return {term.name: term.mean + term.sd * piece for term, piece in zip(unknowns, pieces, strict=True)}
 
 

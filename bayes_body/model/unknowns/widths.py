@@ -12,7 +12,7 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, matching, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
 
 NAME = "widths"
 
@@ -20,8 +20,8 @@ NAME = "widths"
 class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "widths"`: relative standard deviations of the parts' radii, left and right alike."""
 
-    sd: Mapping[str, Positive] = {"*": 0.1}
-    """table: a part's name without `l_` and `r_`, or a pattern = the standard deviation of its radii."""
+    sd: Mapping[str, Positive] = {}
+    """table: a part's name without `l_` and `r_`, or a pattern = the standard deviation of its radii; what is not named has 0.1."""
     lasts_s: Positive = 60.0
     """[s] after this time an error has faded to 37 %. Clothes move."""
 
@@ -39,5 +39,5 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     stems = [name[2:] if name.startswith(("l_", "r_")) else name for name in setting.body.topology.names]
     kinds = tuple(dict.fromkeys(stems))
     index = jnp.asarray(np.array([kinds.index(stem) for stem in stems], np.int32))
-    sd = matching({**options.sd, "*": options.sd.get("*", 0.1)}, kinds)
+    sd = deviations(options.sd, {"*": 0.1}, kinds, "unknown 'widths': sd", "part")
     return unknown_about_zero(NAME, kinds, ("",) * len(kinds), sd, options.lasts_s, setting, Body, change, index)

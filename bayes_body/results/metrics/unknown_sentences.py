@@ -1,5 +1,6 @@
 """What is said of the unknowns of a run, and of joints at their limits: lines for a terminal, and warnings with the likely cause."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ MOST_NEAR_LIMIT = 0.3
 # Entries that a line or a sentence names; it only counts the rest.
 MOST_NAMED = 3
 # Factor and name of the unit in which an entry is shown. What has no unit is a logarithm of a factor, nearly a percentage.
-SHOWN = {"": (100.0, "%"), "m": (1000.0, "mm"), "rad": (180.0 / 3.141592653589793, "°"), "s": (1000.0, "ms")}
+SHOWN = {"": (100.0, "%"), "m": (1000.0, "mm"), "rad": (180.0 / math.pi, "°"), "s": (1000.0, "ms")}
 CAUSES = {
     "lengths": "check the subject's height and lengths in the session",
     "widths": "check the subject's height and the silhouettes",

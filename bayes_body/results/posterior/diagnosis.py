@@ -93,6 +93,7 @@ class Diagnosis:
         first_frame: number of the first frame in the recording.
         declared_sample: whether the kernel declares that its particles are a sample of the posterior; None if it does not say.
         attempts: how the kernel `laplace` did a frame at last: 0 at first, 1 again from more starts, 2 by the kernel `tempered`; None for others.
+        attempt_k: tail shape of the weights in the last attempt of the kernel `laplace`, also where its draws count equally; None for others.
         joint: figures of the Gaussian of all frames from which the paths are drawn; None if they are not.
     """
 
@@ -116,6 +117,7 @@ class Diagnosis:
     first_frame: int = 0
     declared_sample: bool | None = None
     attempts: Int[np.ndarray, "run frame"] | None = None
+    attempt_k: Float[np.ndarray, "run frame"] | None = None
     joint: JointFit | None = None
 
     @property
@@ -124,6 +126,12 @@ class Diagnosis:
         if self.attempts is None:
             return float("nan"), float("nan")
         return float((self.attempts == 1).mean()), float((self.attempts == 2).mean())
+
+    def doubtful_share(self, most_k: float) -> float:
+        """Return the share of frames, over all runs, that `laplace` did and that no normal distribution fits well: a few weights dominate."""
+        if self.attempts is None or self.attempt_k is None:
+            return float("nan")
+        return float(((self.attempts < 2) & (self.attempt_k > most_k)).mean())
 
     @property
     def mode_seeker(self) -> bool:

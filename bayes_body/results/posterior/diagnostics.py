@@ -65,6 +65,7 @@ def diagnose(run: "HasTree | xr.DataTree", block: int = BLOCK) -> Diagnosis:
         first_frame=first_frame_of(tree),
         declared_sample=declared_sample(tree),
         attempts=_attempts(tree),
+        attempt_k=_attempt_k(tree),
         joint=joint_of(tree),
     )
 
@@ -118,6 +119,7 @@ def worst_figures(diagnosis: Diagnosis, thresholds: Thresholds = Thresholds()) -
     }
     if diagnosis.attempts is not None:
         figures |= dict(zip(("redone_starts_share", "redone_tempered_share"), diagnosis.redone, strict=True))
+        figures["normal_doubtful_share"] = diagnosis.doubtful_share(thresholds.pareto_k)
     if diagnosis.joint is not None:
         figures |= worst_of_joint(diagnosis.joint, thresholds.pareto_k)
     if diagnosis.mixing is not None:
@@ -147,6 +149,11 @@ def _acceptance_rate(tree: "xr.DataTree") -> Float[np.ndarray, "run frame layer"
 def _attempts(tree: "xr.DataTree") -> Int[np.ndarray, "run frame"] | None:
     group = tree["filter"]
     return np.asarray(group[f"{MODES}attempt"], int) if f"{MODES}attempt" in group else None
+
+
+def _attempt_k(tree: "xr.DataTree") -> Float[np.ndarray, "run frame"] | None:
+    group = tree["filter"]
+    return np.asarray(group[f"{MODES}pareto_k"], float) if f"{MODES}pareto_k" in group else None
 
 
 def _image_presence(tree: "xr.DataTree") -> tuple[tuple[str, ...], Bool[np.ndarray, "frame camera"] | None]:

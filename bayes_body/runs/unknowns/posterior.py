@@ -8,10 +8,8 @@ from jaxtyping import Float
 
 from bayes_body.model.build import Model
 from bayes_body.model.unknowns.lengths import lengths_of, log_sd_of
+from bayes_body.results.metrics.unknown_sentences import UNDETERMINED
 from bayes_body.tracking.draws import FrameResult
-
-# With a larger share of the prior's standard deviation left, the data did not determine an entry.
-UNDETERMINED = 0.9
 
 
 class Posterior(NamedTuple):

@@ -49,6 +49,7 @@ QUALITY = (
     ("marker_disagreement_mm", "distance between the runs' mean markers", "{:.1f} mm"),
     ("redone_starts_share", "frames done again from more starting points", "{:.1%}"),
     ("redone_tempered_share", "frames done again by tempered", "{:.1%}"),
+    ("normal_doubtful_share", "frames that no normal distribution fits well (Pareto k above 0.7)", "{:.1%}"),
     ("joint_steps_max", "Newton steps to the Gaussian of all frames, at most", "{:.0f}"),
     ("joint_pareto_k_share", "windows that the Gaussian fits (Pareto k at most 0.7)", "{:.0%}"),
     ("joint_near_limit_max", "frames in which a dof is near its limit, at most", "{:.0%}"),

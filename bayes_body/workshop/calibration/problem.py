@@ -71,9 +71,8 @@ class Problem:
         particles = point_mass(first, count)
         if not self.unknowns:
             return particles
-        names = {term.name for term in self.unknowns}
-        certain_states = {name: values for name, values in particles.states.items() if name not in names}
-        return particles._replace(states={**certain_states, **prior_draws(key, self.unknowns, certain_states)})
+        drawn = prior_draws(key, self.unknowns, count)
+        return particles._replace(states={**particles.states, **{name: values.astype(first[name].dtype) for name, values in drawn.items()}})
 
 
 class Case(NamedTuple):

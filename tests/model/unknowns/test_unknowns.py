@@ -250,6 +250,12 @@ def test_an_unknown_that_cannot_be_known_is_refused(case, keypoint_session):
         build_model(changed, keypoint_session)
 
 
+def test_a_key_that_matches_nothing_is_named(keypoint_session):
+    definition = with_unknowns("keypoints", "lengths", extra="bone_sd = { thig = 0.1 }\n")
+    with pytest.raises(InputError, match=r"unknown 'lengths': bone_sd.thig: matches no bone of the body; did you mean 'thigh'"):
+        build_model(definition, keypoint_session)
+
+
 FAULTY = {
     "twice": ('[[unknown]]\nkind = "lengths"\n[[unknown]]\nkind = "lengths"\n', "two tables of the kind 'lengths'"),
     "no width": ('[[unknown]]\nkind = "cameras"\nmove_sd_m = 0.0\n', "unknown #1.*move_sd_m"),
