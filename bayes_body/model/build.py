@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ class Model:
         observers: for each factor that uses images, a function from a frame's images to the factor's arrays (on the host).
         cameras: number of the session's cameras that have what the likelihoods read.
         unknowns: what is not known exactly: variables of the state that change the factors' bodies and cameras.
+        corrected: of a settled model, what its state does to the session's cameras; None if that is nothing.
     """
 
     definition: Definition
@@ -63,6 +65,7 @@ class Model:
     observers: Mapping[str, Callable[[Any], Any]]
     cameras: int = 1
     unknowns: tuple[Unknown, ...] = ()
+    corrected: Callable[[Camera], Camera] | None = None
 
     @property
     def reads(self) -> list[str]:
@@ -111,6 +114,7 @@ class Model:
     def at(self, cameras: Sequence[CameraSpec]) -> "Model":
         """Return the same model with other camera positions, for a frame of moving cameras. Shapes do not change, so nothing is compiled again."""
         rig = stack([_camera(spec) for spec in cameras])
+        rig = rig if self.corrected is None else self.corrected(rig)
 
         def placed(node: Any) -> Any:
             return rig if isinstance(node, Camera) else node
@@ -162,14 +166,18 @@ class Model:
 
     def rig_in(self, state: State) -> Camera:
         """Return the cameras of a state: those of the session, moved by what the state says of them."""
-        return with_changes(tuple(term for term in self.unknowns if term.node is Camera and term.name in state), self.rig, variables(state))
+        return self._corrected(state, self.rig)
+
+    def _corrected(self, state: State, rig: Camera) -> Camera:
+        return with_changes(tuple(term for term in self.unknowns if term.node is Camera and term.name in state), rig, variables(state))
 
     def settled(self, state: State) -> "Model":
         """Return the model with the body and the cameras of a state, such as a mean, for pictures and for the fit to a frame. It has no unknowns."""
         if not self.unknowns:
             return self
         factors = tuple(settled_factor(factor, state) for factor in self.factors)
-        return replace(self, body=self.body_in(state), rig=self.rig_in(state), factors=factors, unknowns=())
+        corrected = partial(self._corrected, state)
+        return replace(self, body=self.body_in(state), rig=corrected(self.rig), factors=factors, unknowns=(), corrected=corrected)
 
     def markers(self, configuration: Configuration) -> Float[Array, "marker 3"]:
         """Return the world positions of the body's virtual markers, metres. `configuration` is a state's variable `body.variable`, such as `pose`."""

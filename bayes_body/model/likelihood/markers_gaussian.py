@@ -18,7 +18,7 @@ are then unlikely but not impossible, and the density is still normalised.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -128,10 +128,18 @@ class Detections:
         self, key: Key, points: Float[Array, "*camera point 3"], confidence: Float[Array, "camera point"] | None = None
     ) -> Float[Array, "camera point 2"]:
         """Draw pixels of points, which may differ between cameras, with the given confidence, by default 1."""
+        return self.draw_about(key, self.expected(points), confidence)
+
+    def draw_about(
+        self, key: Key, expected: Float[Array, "camera point entry"], confidence: Float[Array, "camera point"] | None = None
+    ) -> Float[Array, "camera point 2"]:
+        """Draw pixels about the expected ones, which are as in `log_densities`."""
         noise, spread, choice, place = jax.random.split(key, 4)
-        expected = self.expected(points)
         shape, dtype = expected.shape[:2], expected.dtype
         sd = self._sd(jnp.ones(shape, dtype) if confidence is None else confidence)
+        if expected.shape[-1] > 2:
+            sd = sd * jnp.exp(expected[..., 2])
+        expected = expected[..., :2]
         off = sd[..., None] * jax.random.normal(noise, expected.shape, dtype)
         if self.noise == "student":
             # z / sqrt(chi2 / nu), chi2 = 2 Gamma(nu / 2).
@@ -206,8 +214,7 @@ class MarkersGaussian:
 
     def draw(self, key: Key, configuration: Configuration) -> Float[Array, "camera present 2"]:
         """Draw pixels of the body's markers, all with confidence 1."""
-        scale = 1.0 if self.log_scale is None else jnp.exp(self.log_scale)
-        return replace(self.detections, sd_px=self.detections.sd_px * scale).draw(key, self._points(configuration))
+        return self.detections.draw_about(key, self.expected(configuration))
 
     def by_parts(self) -> Plate:
         """The same log-potential as a plate over the parts that hold visible markers; for a body that is placed by parts."""

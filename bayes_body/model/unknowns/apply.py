@@ -32,6 +32,12 @@ def _mapped(kind: type, change: Any, tree: Any) -> Any:
     return jax.tree.map(lambda node: change(node) if isinstance(node, kind) else node, tree, is_leaf=lambda node: isinstance(node, kind))
 
 
+def node_of[Node](factor: Factor, kind: type[Node]) -> Node | None:
+    """Return the first node of a type in a factor, as it is before unknowns change it; None if there is none."""
+    leaves = jax.tree.leaves(factor, is_leaf=lambda node: isinstance(node, kind))
+    return next((leaf for leaf in leaves if isinstance(leaf, kind)), None)
+
+
 # -- factors ----------------------------------------------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ The body's projection to a camera's image consists of the outline of every part 
 cylinder is the convex hull of its two end sections. The outline of a sphere is that of the circle that faces the camera.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -22,8 +22,10 @@ from bayes_body.base.geometry import transforms
 from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.shapes import Configuration
+from bayes_body.density.factor import State, variables
 from bayes_body.model.body.solids import Body, facing_discs, part_transforms, widened
 from bayes_body.model.build import Model
+from bayes_body.model.unknowns.apply import Unknowns, with_changes
 from bayes_body.recording.observation.frames import Frame, cameras_with_picture, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
@@ -44,6 +46,24 @@ class Outline(NamedTuple):
 def outlines(model: Model, pose: Float[np.ndarray, "*shape"]) -> list[list[Outline]]:
     """Return, for each camera, the outline of every part that is entirely in front of it; pose in radians and metres."""
     pixels, visible = (np.asarray(out) for out in _project_rims(model.body, model.rig, jnp.asarray(pose)))
+    return _hulls(model, pixels, visible)
+
+
+def drawn_outlines(model: Model, states: Mapping[str, Float[np.ndarray, "draw *shape"]]) -> list[list[list[Outline]]]:
+    """Return the outlines of each draw, with the body and the cameras as the draw has them.
+
+    Args:
+        model: the model.
+        states: values of its variables, by name. Unknowns that are not among them are left at their mean.
+    """
+    values = {name: jnp.asarray(value) for name, value in states.items()}
+    body_terms = tuple(term for term in model.unknowns if term.name in model.placing and term.name in states)
+    camera_terms = tuple(term for term in model.unknowns if term.node is Camera and term.name in states)
+    pixels, visible = (np.asarray(out) for out in _project_drawn_rims(model.body, model.rig, body_terms, camera_terms, values))
+    return [_hulls(model, *drawn) for drawn in zip(pixels, visible, strict=True)]
+
+
+def _hulls(model: Model, pixels: Float[np.ndarray, "camera part point 2"], visible: Bool[np.ndarray, "camera part point"]) -> list[list[Outline]]:
     names = model.body.topology.names
     return [
         [Outline(name, cv2.convexHull(camera[p].astype(np.float32))[:, 0]) for p, name in enumerate(names) if in_front[p].all()]
@@ -84,6 +104,15 @@ def intersection_over_union(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarra
 def _project_rims(body: Body, rig: Camera, pose: Configuration) -> tuple[Array, Array]:
     T_world_part, shaped = part_transforms(body, pose), widened(body, pose)
     return jax.vmap(lambda camera: project(camera, _rims(shaped, T_world_part, camera)))(rig)
+
+
+@jax.jit
+def _project_drawn_rims(body: Body, rig: Camera, body_terms: Unknowns, camera_terms: Unknowns, states: State) -> tuple[Array, Array]:
+    def projected(state: State) -> tuple[Array, Array]:
+        changed, cameras = with_changes(body_terms, body, variables(state)), with_changes(camera_terms, rig, variables(state))
+        return _project_rims(changed, cameras, state[body.variable])
+
+    return jax.vmap(projected)(states)
 
 
 def _rims(body: Body, T_world_part: transforms.Transform, camera: Camera) -> Float[Array, "part point 3"]:

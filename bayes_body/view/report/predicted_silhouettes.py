@@ -6,6 +6,7 @@ The same two figures of A and B' are what the model expects (Gelman, Meng & Ster
 `silhouette_edges` and `regions` are no such distributions.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import cv2
@@ -16,12 +17,14 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 from numpy.typing import NDArray
 
 from bayes_body.base.shapes import Key
+from bayes_body.density.factor import State, variables
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.silhouette_bernoulli import SilhouetteBernoulli
+from bayes_body.model.unknowns.apply import Unknowns, node_of, with_changes
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.fit import Outline, fill, intersection_over_union, outlines
+from bayes_body.results.metrics.fit import Outline, drawn_outlines, fill, intersection_over_union
 
 # Silhouettes are compared at no more than this width, pixels.
 WIDTH = 320
@@ -49,53 +52,69 @@ def reads_silhouettes(model: Model) -> bool:
     return "silhouettes" in model.reads
 
 
-def silhouette_likelihood(model: Model) -> SilhouetteBernoulli | None:
+class SilhouetteDistribution(NamedTuple):
+    """A likelihood that is a distribution over silhouettes.
+
+    Attributes:
+        likelihood: as the session has it.
+        terms: the unknowns that change it.
+    """
+
+    likelihood: SilhouetteBernoulli
+    terms: Unknowns
+
+
+def silhouette_likelihood(model: Model) -> SilhouetteDistribution | None:
     """Return the model's likelihood that is a distribution over silhouettes; None if it has none."""
     for factor in model.factors:
-        if isinstance(factor.log_potential, SilhouetteBernoulli):
-            return factor.log_potential
+        likelihood = node_of(factor, SilhouetteBernoulli)
+        if likelihood is not None:
+            return SilhouetteDistribution(likelihood, tuple(term for term in model.unknowns if term.concerns(factor)))
     return None
 
 
-def silhouette_check(model: Model, session: Session, frame: Frame, poses: Float[np.ndarray, "draw *shape"], key: Key) -> SilhouetteCheck:
+def silhouette_check(
+    model: Model, session: Session, frame: Frame, states: Mapping[str, Float[np.ndarray, "draw *shape"]], key: Key
+) -> SilhouetteCheck:
     """Compare a frame's silhouettes with those of draws of the pose.
 
     Args:
         model: the model, with its cameras where they are in this frame.
         session: the recording.
         frame: the frame.
-        poses: draws of equal weight, radians and metres.
+        states: draws of equal weight of the model's variables, by name.
         key: random key of the likelihood's noise.
     """
-    cameras = len(session.views)
-    overlap, area = (np.full((cameras, len(poses)), np.nan) for _ in range(2))
+    cameras, draws = len(session.views), len(states[model.body.variable])
+    overlap, area = (np.full((cameras, draws), np.nan) for _ in range(2))
     expected_overlap, expected_area = (np.full((cameras, 2), np.nan) for _ in range(2))
     # A single pose, the mean of a mode seeker, has no predictive distribution.
-    likelihood, masks = silhouette_likelihood(model) if len(poses) > 1 else None, body_masks(model, session, poses)
-    drawn = None if likelihood is None else np.asarray(_drawn(likelihood, jax.random.split(key, len(poses)), poses.astype(np.float32)))
+    distribution, masks = silhouette_likelihood(model) if draws > 1 else None, body_masks(model, session, states)
+    drawn = None if distribution is None else _silhouettes_about(distribution, states, jax.random.split(key, draws))
     for c, bodies in enumerate(masks):
         silhouette = seen_mask(frame, c)
         if silhouette is None:
             continue
-        if likelihood is None or drawn is None:
+        if distribution is None or drawn is None:
             overlap[c], area[c] = _figures(bodies, [smaller(silhouette)] * len(bodies))
             continue
         # The same comparison for the seen silhouette and for drawn ones: on the likelihood's grid.
-        on_grid = [sample_mask(body, *likelihood.grid) for body in bodies]
-        overlap[c], area[c] = _figures(on_grid, [sample_mask(silhouette, *likelihood.grid)] * len(bodies))
+        grid = distribution.likelihood.grid
+        on_grid = [sample_mask(body, *grid) for body in bodies]
+        overlap[c], area[c] = _figures(on_grid, [sample_mask(silhouette, *grid)] * len(bodies))
         expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in _figures(on_grid, list(drawn[:, c])))
     return SilhouetteCheck(overlap, area, expected_overlap, expected_area)
 
 
-def body_masks(model: Model, session: Session, poses: Float[np.ndarray, "draw *shape"]) -> list[list[Bool[np.ndarray, "row column"]]]:
-    """Return for each camera the silhouettes of the posed bodies, at no more than WIDTH pixels."""
-    by_pose = [outlines(model, pose) for pose in poses]
+def body_masks(model: Model, session: Session, states: Mapping[str, Float[np.ndarray, "draw *shape"]]) -> list[list[Bool[np.ndarray, "row column"]]]:
+    """Return for each camera the silhouettes of the bodies that draws place, at no more than WIDTH pixels."""
+    by_draw = drawn_outlines(model, states)
     masks = []
     for c, view in enumerate(session.views):
         size = _small(view.camera.size_px)
         scale = np.array(size) / view.camera.size_px
         # Integers are the centres of pixels, at every size.
-        masks.append([fill([Outline(part, (polygon + 0.5) * scale - 0.5) for part, polygon in pose_outlines[c]], size) for pose_outlines in by_pose])
+        masks.append([fill([Outline(part, (polygon + 0.5) * scale - 0.5) for part, polygon in drawn[c]], size) for drawn in by_draw])
     return masks
 
 
@@ -125,8 +144,20 @@ def _figures(
     return np.array(overlap), np.array([(body - mask) / mask if mask else np.nan for body, mask in areas])
 
 
+def _silhouettes_about(
+    distribution: SilhouetteDistribution, states: Mapping[str, Float[np.ndarray, "draw *shape"]], keys: Shaped[PRNGKeyArray, " draw"]
+) -> Bool[np.ndarray, "draw camera row column"]:
+    terms = tuple(term for term in distribution.terms if term.name in states)
+    values = {name: value.astype(np.float32) for name, value in states.items()}
+    return np.asarray(_drawn(distribution.likelihood, terms, keys, values))
+
+
 @jax.jit
 def _drawn(
-    likelihood: SilhouetteBernoulli, keys: Shaped[PRNGKeyArray, " draw"], poses: Float[Array, "draw *shape"]
+    likelihood: SilhouetteBernoulli, terms: Unknowns, keys: Shaped[PRNGKeyArray, " draw"], states: State
 ) -> Bool[Array, "draw camera row column"]:
-    return jax.vmap(likelihood.draw)(keys, poses)
+    def draw(key: Key, state: State) -> Bool[Array, "camera row column"]:
+        changed = with_changes(terms, likelihood, variables(state))
+        return changed.draw(key, state[changed.body.variable])
+
+    return jax.vmap(draw)(keys, states)

@@ -18,7 +18,7 @@ from bayes_body.view.report.prediction_curves import (
     silhouette_panels,
     silhouette_pictures,
 )
-from bayes_body.view.report.predictive import KeypointCheck, marker_likelihood, noise_in_words
+from bayes_body.view.report.predictive import KeypointCheck, keypoint_likelihood, noise_in_words
 
 TITLE = "Posterior predictive check"
 ABOUT = (
@@ -72,13 +72,13 @@ def prediction_section(inspection: Inspection) -> Markup:
 
 
 def _keypoint_parts(inspection: Inspection, frames: Int[np.ndarray, " frame"], check: KeypointCheck) -> Iterator[Markup]:
-    likelihood, seeker = marker_likelihood(inspection.run.model), inspection.diagnosis.mode_seeker
+    likelihood, seeker = keypoint_likelihood(inspection.run.model), inspection.diagnosis.mode_seeker
     assert likelihood is not None
     yield tag("h3", "Keypoints")
     if not np.isfinite(check.error).any():
         yield tag("p", "No camera sees a keypoint in the compared frames.")
         return
-    yield tag("p", ERROR if seeker else f"{KEYPOINTS.format(noise=noise_in_words(likelihood[1].detections))} {SHARE}")
+    yield tag("p", ERROR if seeker else f"{KEYPOINTS.format(noise=noise_in_words(likelihood.markers.detections))} {SHARE}")
     yield _keypoint_table(cameras(inspection), check, seeker)
     yield figures(error_panels(inspection, frames, check))
     worst = _worst(frames, np.array([median(errors) for errors in check.error]))

@@ -21,7 +21,7 @@ from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Picture
 from bayes_body.view.report.panels import frame_panel
 from bayes_body.view.report.predicted_silhouettes import body_masks, seen_mask
-from bayes_body.view.report.predictive import KeypointCheck, expected_pixels, marker_likelihood, moment, predicted_pixels, seen_keypoints
+from bayes_body.view.report.predictive import KeypointCheck, expected_keypoints, keypoint_likelihood, moment, predicted_pixels, seen_keypoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -133,16 +133,15 @@ BITS = 4
 
 def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees keypoints in a frame a picture of them and of the predicted ones; the model reads keypoints."""
-    inspection, run_likelihood = moment(run, index), marker_likelihood(run.model)
-    assert run_likelihood is not None
-    keypoints, points = seen_keypoints(inspection)
-    likelihood = marker_likelihood(inspection.model)
+    inspection = moment(run, index)
+    likelihood = keypoint_likelihood(inspection.model)
     assert likelihood is not None
-    detections, marker_names = likelihood[1].detections, [inspection.model.body.markers.names[place] for place in likelihood[1].markers]
-    present = keypoints[..., 2] > float(detections.least_confidence)
-    middle = expected_pixels(detections, points).mean(axis=0)
+    keypoints, expected = seen_keypoints(inspection, likelihood), expected_keypoints(likelihood, inspection.states)
+    detections, names = likelihood.markers.detections, inspection.model.body.markers.names
+    marker_names = [names[marker] for marker in likelihood.markers.markers]
+    present, middle = keypoints[..., 2] > float(detections.least_confidence), expected[..., :2].mean(axis=0)
     # The first noise of each draw.
-    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), inspection.key)[: len(points)]
+    drawn = predicted_pixels(detections, expected, np.where(present, keypoints[..., 2], 1.0), inspection.key)[: len(expected)]
     for c, view in enumerate(run.session.views):
         mask = present[c]
         if not mask.any():
@@ -161,7 +160,7 @@ def keypoint_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
 def silhouette_pictures(run: "SavedRun", index: int) -> Iterator[Picture]:
     """Yield for each camera that sees a silhouette in a frame a picture of its outline over the predicted ones."""
     inspection = moment(run, index)
-    for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(inspection.model, run.session, inspection.poses), strict=True)):
+    for c, (view, bodies) in enumerate(zip(run.session.views, body_masks(inspection.model, run.session, inspection.states), strict=True)):
         silhouette, size = seen_mask(inspection.frame, c), view.camera.size_px
         if silhouette is None:
             continue

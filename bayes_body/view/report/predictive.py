@@ -2,12 +2,12 @@
 
 The check uses at most FRAMES frames and DRAWS draws of equal weight, so that its cost does not grow with the run.
 
-For keypoints, the pixels that draws of the pose and of the likelihood's noise predict are compared with those that were seen. With z the seen pixels,
-s a draw of the pose and z' a draw of the keypoints given s, the predictive distribution is that of z' over both (Gelman, Meng & Stern 1996). The
-error of a keypoint is its distance from the mean of the pixels that the draws expect.
+For keypoints, the pixels that draws of the state and of the likelihood's noise predict are compared with the seen pixels. With z the seen pixels, s a
+draw of the pose and of what is not known of body and cameras, and z' a draw of the keypoints given s, the predictive distribution is that of z' over
+both (Gelman, Meng & Stern 1996). The error of a keypoint is its distance from the mean of the pixels that the draws expect.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -17,12 +17,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.base.shapes import Key
+from bayes_body.density.factor import State, variables
 from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.markers_gaussian import Detections, MarkersGaussian
+from bayes_body.model.unknowns.apply import Unknowns, node_of, with_changes
 from bayes_body.recording.observation.frames import Frame, read_frame
 from bayes_body.results.metrics.fit import seen_in
-from bayes_body.results.posterior import markers
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.view.report.predicted_silhouettes import SilhouetteCheck, reads_silhouettes, silhouette_check
@@ -51,12 +52,26 @@ class KeypointCheck(NamedTuple):
     inside: Float[np.ndarray, "camera marker"]
 
 
-def marker_likelihood(model: Model) -> tuple[str, MarkersGaussian] | None:
-    """Return the name of the model's likelihood of keypoints and its distribution; None if the model has none."""
+class KeypointLikelihood(NamedTuple):
+    """A model's likelihood of keypoints.
+
+    Attributes:
+        name: of the factor.
+        markers: the distribution, as the session has it.
+        terms: the unknowns that change it.
+    """
+
+    name: str
+    markers: MarkersGaussian
+    terms: Unknowns
+
+
+def keypoint_likelihood(model: Model) -> KeypointLikelihood | None:
+    """Return the model's likelihood of keypoints; None if the model has none."""
     for factor in model.factors:
-        for part in getattr(factor.simulate, "args", ()):
-            if isinstance(part, MarkersGaussian):
-                return factor.name, part
+        markers = node_of(factor, MarkersGaussian)
+        if markers is not None:
+            return KeypointLikelihood(factor.name, markers, tuple(term for term in model.unknowns if term.concerns(factor)))
     return None
 
 
@@ -72,56 +87,71 @@ def noise_in_words(detections: Detections) -> str:
 
 
 def keypoint_check(
-    detections: Detections, points: Float[np.ndarray, "draw marker 3"], keypoints: Float[np.ndarray, "camera marker 3"], key: Key
+    detections: Detections, expected: Float[np.ndarray, "draw camera marker entry"], keypoints: Float[np.ndarray, "camera marker 3"], key: Key
 ) -> KeypointCheck:
     """Compare a frame's keypoints with their predictive distribution.
 
     Args:
         detections: the distribution of the keypoints in the likelihood.
-        points: the markers of each draw of the pose, metres.
+        expected: from `expected_keypoints`.
         keypoints: column, row and confidence of the keypoints.
         key: random key of the noise.
     """
     present = keypoints[..., 2] > float(detections.least_confidence)
-    middle = expected_pixels(detections, points).mean(axis=0)
-    drawn = predicted_pixels(detections, points, np.where(present, keypoints[..., 2], 1.0), key)
+    middle = expected[..., :2].mean(axis=0)
+    drawn = predicted_pixels(detections, expected, np.where(present, keypoints[..., 2], 1.0), key)
     # With this definition of the quantile, a new draw from the same distribution is inside with probability 0.9, however few draws there are.
     low, high = np.quantile(drawn, ENDS, axis=0, method="weibull")
     inside = ((low <= keypoints[..., :2]) & (keypoints[..., :2] <= high)).mean(axis=-1)
     distances = np.linalg.norm(drawn - middle, axis=-1)
-    expected = np.array([np.percentile(distances[:, c, mask], SHOWN) if mask.any() else (np.nan, np.nan) for c, mask in enumerate(present)])
+    shares = np.array([np.percentile(distances[:, c, mask], SHOWN) if mask.any() else (np.nan, np.nan) for c, mask in enumerate(present)])
     error = np.linalg.norm(keypoints[..., :2] - middle, axis=-1)
-    return KeypointCheck(np.where(present, error, np.nan), expected, np.where(present, inside, np.nan))
+    return KeypointCheck(np.where(present, error, np.nan), shares, np.where(present, inside, np.nan))
 
 
-def expected_pixels(detections: Detections, points: Float[np.ndarray, "draw marker 3"]) -> Float[np.ndarray, "draw camera marker 2"]:
-    """Return the pixels at which each draw expects the markers, without noise."""
-    return np.asarray(_expected(detections, points))
+def expected_keypoints(
+    likelihood: KeypointLikelihood, states: Mapping[str, Float[np.ndarray, "draw *shape"]]
+) -> Float[np.ndarray, "draw camera marker entry"]:
+    """Return the pixels at which each draw expects the markers, without noise; a third entry is the log of a factor of the noise.
+
+    Args:
+        likelihood: the model's.
+        states: draws of the model's variables, by name.
+    """
+    terms = tuple(term for term in likelihood.terms if {term.name, *term.reads} <= states.keys())
+    return np.asarray(_expected(likelihood.markers, terms, {name: value.astype(np.float32) for name, value in states.items()}))
 
 
 def predicted_pixels(
     detections: Detections,
-    points: Float[np.ndarray, "draw marker 3"],
+    expected: Float[np.ndarray, "draw camera marker entry"],
     confidence: Float[np.ndarray, "camera marker"],
     key: Key,
 ) -> Float[np.ndarray, "drawn camera marker 2"]:
-    """Return NOISES draws of the keypoints for each draw of the pose; the first noise of all draws comes first."""
-    keys = jax.random.split(key, (NOISES, len(points)))
-    drawn = np.asarray(_drawn(detections, keys, points, confidence))
+    """Return NOISES draws of the keypoints for each draw of the state; the first noise of all draws comes first."""
+    keys = jax.random.split(key, (NOISES, len(expected)))
+    drawn = np.asarray(_drawn(detections, keys, expected, confidence))
     return drawn.reshape(-1, *drawn.shape[2:])
 
 
 @jax.jit
-def _expected(detections: Detections, points: Float[Array, "draw marker 3"]) -> Float[Array, "draw camera marker 2"]:
-    return jax.vmap(detections.expected)(points)
+def _expected(markers: MarkersGaussian, terms: Unknowns, states: State) -> Float[Array, "draw camera marker entry"]:
+    def expected(state: State) -> Float[Array, "camera marker entry"]:
+        changed = with_changes(terms, markers, variables(state))
+        return changed.expected(state[changed.body.variable])
+
+    return jax.vmap(expected)(states)
 
 
 @jax.jit
 def _drawn(
-    detections: Detections, keys: Shaped[PRNGKeyArray, "noise draw"], points: Float[Array, "draw marker 3"], confidence: Float[Array, "camera marker"]
+    detections: Detections,
+    keys: Shaped[PRNGKeyArray, "noise draw"],
+    expected: Float[Array, "draw camera marker entry"],
+    confidence: Float[Array, "camera marker"],
 ) -> Float[Array, "noise draw camera marker 2"]:
-    by_pose = jax.vmap(detections.draw, (0, 0, None))
-    return jax.vmap(by_pose, (0, None, None))(keys, points, confidence)
+    by_state = jax.vmap(detections.draw_about, (0, 0, None))
+    return jax.vmap(by_state, (0, None, None))(keys, expected, confidence)
 
 
 FRAMES, DRAWS = 20, 60
@@ -150,13 +180,13 @@ class Moment(NamedTuple):
     Attributes:
         model: the model with its cameras where they are in this frame.
         frame: what was seen.
-        poses: draws of equal weight of all runs together, radians and metres; for a mode seeker their mean alone.
+        states: draws of equal weight of all runs together, by variable: what places the body, and the unknowns; for a mode seeker their mean alone.
         key: random key of the noise in this frame.
     """
 
     model: Model
     frame: Frame
-    poses: Float[np.ndarray, "draw *shape"]
+    states: dict[str, Float[np.ndarray, "draw *shape"]]
     key: jax.Array
 
 
@@ -169,7 +199,7 @@ def prediction_of(run: "SavedRun", watch: Watch = unwatched) -> Predicted | str:
     """
     try:
         _check_recording(run)
-        if marker_likelihood(run.model) is None and not reads_silhouettes(run.model):
+        if keypoint_likelihood(run.model) is None and not reads_silhouettes(run.model):
             return NOTHING
         return _predicted(run, watch)
     except InputError as error:
@@ -193,11 +223,13 @@ def _predicted(run: "SavedRun", watch: Watch) -> Predicted:
     keypoints, silhouettes, draws = [], [], 0
     for index in watch(frames.tolist()):
         inspection = moment(run, index)
-        draws = len(inspection.poses)
-        if marker_likelihood(inspection.model) is not None:
-            keypoints.append(_keypoints(inspection))
+        draws = len(inspection.states[inspection.model.body.variable])
+        likelihood = keypoint_likelihood(inspection.model)
+        if likelihood is not None:
+            expected, seen = expected_keypoints(likelihood, inspection.states), seen_keypoints(inspection, likelihood)
+            keypoints.append(keypoint_check(likelihood.markers.detections, expected, seen, inspection.key))
         if reads_silhouettes(inspection.model):
-            silhouettes.append(silhouette_check(inspection.model, run.session, inspection.frame, inspection.poses, inspection.key))
+            silhouettes.append(silhouette_check(inspection.model, run.session, inspection.frame, inspection.states, inspection.key))
     return Predicted(frames, draws, _stacked(KeypointCheck, keypoints), _stacked(SilhouetteCheck, silhouettes))
 
 
@@ -207,29 +239,23 @@ def _stacked[Check: tuple[np.ndarray, ...]](kind: Callable[..., Check], checks: 
 
 def moment(run: "SavedRun", index: int) -> Moment:
     """Return one frame of the run with its draws."""
-    model = seen_in(run.settled_model, run.session, index)
-    (piece,) = pose_blocks(run.tree, range(index, index + 1), variable=model.body.variable)
-    weights, poses = pooled(weights_of_runs(piece.log_weights))[0], pooled(piece.poses)[0]
+    model = seen_in(run.model, run.session, index)
+    needed = (model.body.variable, *(name for term in model.unknowns for name in (term.name, *term.reads)))
+    names = [name for name in dict.fromkeys(needed) if name in run.tree["posterior"]]
+    pieces = {name: next(pose_blocks(run.tree, range(index, index + 1), variable=name)) for name in names}
+    weights = pooled(weights_of_runs(pieces[names[0]].log_weights))[0]
+    values = {name: pooled(piece.poses)[0] for name, piece in pieces.items()}
     if run.mode_seeker:
-        drawn = np.asarray(configuration_space(model.body).mean(weights[None] / weights.sum(), poses[None]))
+        space = {model.body.variable: configuration_space(model.body), **{term.name: term.space for term in model.unknowns}}
+        states = {name: np.asarray(space[name].mean(weights[None] / weights.sum(), v[None])) for name, v in values.items() if name in space}
     else:
-        drawn = poses[systematic_resampling(np.random.default_rng([RESAMPLING_SEED, index]), weights, DRAWS)]
-    key = jax.random.fold_in(jax.random.key(RESAMPLING_SEED), index)
-    return Moment(model, read_frame(run.session, index), drawn, key)
+        chosen = systematic_resampling(np.random.default_rng([RESAMPLING_SEED, index]), weights, DRAWS)
+        states = {name: v[chosen] for name, v in values.items()}
+    return Moment(model, read_frame(run.session, index), states, jax.random.fold_in(jax.random.key(RESAMPLING_SEED), index))
 
 
-def seen_keypoints(moment: Moment) -> tuple[Float[np.ndarray, "camera marker 3"], Float[np.ndarray, "draw marker 3"]]:
-    """Return column, row and confidence of the keypoints, and the markers that the draws place, metres; for a model that reads keypoints."""
-    named_likelihood = marker_likelihood(moment.model)
-    assert named_likelihood is not None
-    name, likelihood = named_likelihood
-    evidence = moment.model.observers[name](moment.frame)
-    keypoints = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)[:, list(likelihood.places)]
-    return keypoints.astype(float), markers(moment.model, moment.poses.astype(np.float32))[:, list(likelihood.markers)]
-
-
-def _keypoints(moment: Moment) -> KeypointCheck:
-    named_likelihood = marker_likelihood(moment.model)
-    assert named_likelihood is not None
-    keypoints, points = seen_keypoints(moment)
-    return keypoint_check(named_likelihood[1].detections, points, keypoints, moment.key)
+def seen_keypoints(moment: Moment, likelihood: KeypointLikelihood) -> Float[np.ndarray, "camera marker 3"]:
+    """Return column, row and confidence of the keypoints that a likelihood reads."""
+    evidence = moment.model.observers[likelihood.name](moment.frame)
+    keypoints = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)
+    return keypoints[:, list(likelihood.markers.places)].astype(float)

@@ -19,7 +19,7 @@ from bayes_body.view.report.figures import style
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.predicted_silhouettes import silhouette_check, silhouette_likelihood
 from bayes_body.view.report.prediction import prediction_section
-from bayes_body.view.report.predictive import expected_pixels, keypoint_check, marker_likelihood
+from bayes_body.view.report.predictive import expected_keypoints, keypoint_check, keypoint_likelihood
 
 DOFS = ("shoulder_x", "shoulder_y", "shoulder_z", "elbow")
 POSE = np.full(4, -0.3, np.float32)
@@ -30,7 +30,7 @@ SD = 2.0
 @pytest.fixture(scope="module")
 def detections(keypoint_session):
     """Gaussian noise of SD pixels in both cameras."""
-    found = marker_likelihood(build_model("arm_markers", keypoint_session))[1].detections
+    found = keypoint_likelihood(build_model("arm_markers", keypoint_session)).markers.detections
     return dataclasses.replace(found, sd_px=np.full(2, SD, np.float32))
 
 
@@ -38,6 +38,10 @@ def detections(keypoint_session):
 def places():
     """400 points in front of both cameras, metres."""
     return np.random.default_rng(0).uniform((-0.5, -0.5, 0.8), (0.5, 0.5, 1.6), (400, 3)).astype(np.float32)
+
+
+def expected_pixels(detections, draws):
+    return np.asarray(jax.vmap(detections.expected)(jnp.asarray(draws)))
 
 
 def seen_at(pixels, confidence=1.0):
@@ -50,11 +54,11 @@ def test_a_right_model_has_nine_of_ten_coordinates_inside_and_a_shifted_body_has
     draws = places + 0.02 * rng.normal(size=(60, *places.shape)).astype(np.float32)
     true = expected_pixels(detections, (places + 0.02 * rng.normal(size=places.shape)).astype(np.float32)[None])[0]
     noisy = true + SD * rng.normal(size=true.shape)
-    right = keypoint_check(detections, draws, seen_at(noisy), KEY)
+    right = keypoint_check(detections, expected_pixels(detections, draws), seen_at(noisy), KEY)
     # Four standard errors of 1600 coordinates.
     assert abs(right.inside.mean() - 0.9) < 4 * np.sqrt(0.09 / right.inside.size / 2)
     np.testing.assert_allclose(right.expected, np.percentile(right.error, (50, 90), axis=1).T, rtol=0.2)
-    shifted = keypoint_check(detections, draws, seen_at(noisy + np.array([50.0, 0.0])), KEY)
+    shifted = keypoint_check(detections, expected_pixels(detections, draws), seen_at(noisy + np.array([50.0, 0.0])), KEY)
     # All rows are where they were, and no column is.
     assert abs(np.median(shifted.error) - 50) < 1 and abs(shifted.inside.mean() - 0.45) < 0.03
 
@@ -67,15 +71,27 @@ def test_the_errors_of_predicted_keypoints_are_those_of_the_noise(detections, pl
     detections = dataclasses.replace(detections, noise=noise, degrees_of_freedom=np.float32(nu))
     still = np.tile(places, (20, 1, 1))
     seen = seen_at(expected_pixels(detections, still)[0] + [3.0, 4.0])
-    found = keypoint_check(detections, still, seen, KEY)
+    found = keypoint_check(detections, expected_pixels(detections, still), seen, KEY)
     np.testing.assert_allclose(found.error, 5.0, atol=1e-3)
     np.testing.assert_allclose(found.expected, [sure, sure], rtol=0.05)
     # With a quarter of the confidence, the noise is four times as wide; what is not seen has no figures.
     seen[..., 2], seen[0, 0, 2], seen[1, :, 2] = 0.25, 0.0, 0.0
     unsure = dataclasses.replace(detections, by_confidence=1.0, least_confidence=np.float32(0.1))
-    found = keypoint_check(unsure, still, seen, KEY)
+    found = keypoint_check(unsure, expected_pixels(unsure, still), seen, KEY)
     np.testing.assert_allclose(found.expected[0], 4 * sure, rtol=0.05)
     assert np.isnan(found.error[0, 0]) and np.isfinite(found.inside[0, 1:]).all() and np.isnan(found.expected[1]).all()
+
+
+def test_a_draw_predicts_with_the_cameras_that_it_has(keypoint_session):
+    model = build_model("keypoints", keypoint_session)
+    states = {name: np.tile(value, (2, 1)) for name, value in model.initial.items()}
+    turned = model.unknowns[1].space.labels.index("b_turn_z")
+    states["cameras"][1, turned] += 0.01
+    still, moved = expected_keypoints(keypoint_likelihood(model), states)
+    np.testing.assert_allclose(moved[0], still[0], atol=1e-3)
+    centre = np.array(keypoint_session.views[1].camera.centre_px)
+    # Turned about the optical axis: each pixel moves by a hundredth of its distance from the centre, but for the lens's distortion.
+    np.testing.assert_allclose(np.linalg.norm(moved[1] - still[1], axis=-1), 0.01 * np.linalg.norm(still[1] - centre, axis=-1), atol=0.1)
 
 
 def test_silhouettes_have_their_overlap_and_area(textured_session):
@@ -83,12 +99,12 @@ def test_silhouettes_have_their_overlap_and_area(textured_session):
     masks = projected_masks(model, pose, textured_session)
     half = masks[0].copy()
     half[:, : int(np.nonzero(half)[1].mean())] = False
-    found = silhouette_check(model, textured_session, frame_of([half, masks[1]]), np.tile(pose, (3, 1)), KEY)
+    found = silhouette_check(model, textured_session, frame_of([half, masks[1]]), {"pose": np.tile(pose, (3, 1))}, KEY)
     share = half.sum() / masks[0].sum()
     np.testing.assert_allclose(found.overlap, [[share] * 3, [1.0] * 3])
     np.testing.assert_allclose(found.area, [[1 / share - 1] * 3, [0.0] * 3])
     assert np.isnan(found.expected_overlap).all() and np.isnan(found.expected_area).all()
-    assert np.isnan(silhouette_check(model, textured_session, frame_of([None, 0 * half]), np.tile(pose, (3, 1)), KEY).overlap).all()
+    assert np.isnan(silhouette_check(model, textured_session, frame_of([None, 0 * half]), {"pose": np.tile(pose, (3, 1))}, KEY).overlap).all()
 
 
 def frame_of(masks) -> Frame:
@@ -98,7 +114,7 @@ def frame_of(masks) -> Frame:
 @pytest.mark.slow
 def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session):
     model, poses = build_model("arm_silhouette", textured_session), np.tile(POSE, (40, 1))
-    likelihood, inside = silhouette_likelihood(model), []
+    likelihood, inside = silhouette_likelihood(model).likelihood, []
     draw = jax.jit(lambda key: likelihood.draw(key, jnp.asarray(POSE)))
     # On its own grid, a silhouette is read as it is.
     whole = [np.array(view.camera.size_px[::-1]) for view in textured_session.views]
@@ -108,7 +124,7 @@ def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session)
             cv2.resize(grid.astype(np.uint8), size[::-1].tolist(), interpolation=cv2.INTER_NEAREST) > 0
             for grid, size in zip(grids, whole, strict=True)
         ]
-        found = silhouette_check(model, textured_session, frame_of(masks), poses, KEY)
+        found = silhouette_check(model, textured_session, frame_of(masks), {"pose": poses}, KEY)
         for values, ends in ((found.overlap, found.expected_overlap), (found.area, found.expected_area)):
             inside += list((ends[:, 0] <= values[:, 0]) & (values[:, 0] <= ends[:, 1]))
     assert np.mean(inside) > 0.7
@@ -118,7 +134,9 @@ def test_silhouettes_that_the_likelihood_draws_are_in_its_band(textured_session)
     for miss in (1e-6, 0.3):
         drawn = dataclasses.replace(sharp, miss=np.float32(miss))
         factors = tuple(dataclasses.replace(each, log_potential=drawn) if each.log_potential is likelihood else each for each in model.factors)
-        areas.append(silhouette_check(dataclasses.replace(model, factors=factors), textured_session, frame_of(masks), poses, KEY).expected_area)
+        areas.append(
+            silhouette_check(dataclasses.replace(model, factors=factors), textured_session, frame_of(masks), {"pose": poses}, KEY).expected_area
+        )
     np.testing.assert_allclose((1 + areas[1].mean(axis=1)) / (1 + areas[0].mean(axis=1)), 1 / 0.7, rtol=0.1)
 
 
