@@ -1,11 +1,16 @@
 """What the judge of plausibility says of a run, as sentences with figures: warnings before the run, in its summary and in its report."""
 
 from collections.abc import Callable, Mapping
+from statistics import median
 from typing import Any, NamedTuple
 
 from bayes_body.initial.fitting.outline import LEAST_OVERLAP
 from bayes_body.results.metrics.plausibility import LEAST_COVER, MOST_DISTANCE, SILHOUETTE
 from bayes_body.results.posterior.mixing_sentences import frame_ranges
+
+
+# How many times as far from the body a camera's keypoints are as those of the others, and the least share of the diagonal that counts.
+WORSE, LEAST_ERROR = 2.0, 0.01
 
 
 class _Wording(NamedTuple):
@@ -44,8 +49,25 @@ def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
         figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives fewer warnings.
     """
     wordings = _WORDINGS.get(figures.get("fit_by") or "", ())
-    sentences = [_first(wordings, figures), _describe_lost_frames(wordings, figures), _outside(figures), _blind(figures)]
+    sentences = [_first(wordings, figures), _describe_lost_frames(wordings, figures), _outside(figures), _blind(figures), _worst_camera(figures)]
     return [sentence for sentence in sentences if sentence]
+
+
+def _worst_camera(figures: Mapping[str, Any]) -> str | None:
+    """A sentence on a camera whose keypoints the posterior does not reach while it reaches those of the others."""
+    cameras: Mapping[str, Mapping[str, float]] = figures.get("reprojection_by_camera") or {}
+    if len(cameras) < 3:
+        return None
+    worst = max(cameras, key=lambda name: cameras[name]["of_diagonal"])
+    usual = median(figure["of_diagonal"] for name, figure in cameras.items() if name != worst)
+    share = cameras[worst]["of_diagonal"]
+    if share <= LEAST_ERROR or share <= WORSE * usual:
+        return None
+    return (
+        f"camera '{worst}' fits worse than the others: its keypoints are {cameras[worst]['px']:.0f} px ({share:.1%} of the image's diagonal) from the "
+        f"body, those of the others {usual:.1%} (median): its calibration, its clock or its keypoints may be wrong; look at its pictures, "
+        "or remove its [[camera]] from session.toml."
+    )
 
 
 def _crossed(wordings: tuple[_Wording, ...], figures: Mapping[str, Any], end: str) -> tuple[_Wording, float] | None:

@@ -11,6 +11,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.base.progress import Watch, unwatched
@@ -110,6 +111,7 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "reads": draws.model.reads,
         "iou_median": _median(overlap),
         "reprojection_px_median": _median(distance_px),
+        "reprojection_by_camera": _by_camera(session, distance_px),
         "marker_disagreement_mm": 1000 * float(np.mean([frame_figures.disagreement for frame_figures in by_frame])),
         **fit_figures(first, fits, draws.first_frame),
         **unknown_figures(draws.model, draws.frames[frames - 1], frames - 1, not mode_seeker),
@@ -117,6 +119,13 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}
+
+
+def _by_camera(session: Session, distance_px: Float[np.ndarray, "frame run camera"]) -> dict[str, dict[str, float]]:
+    """Return the median distance of each camera that has keypoints, in pixels and as a share of the image's diagonal."""
+    medians = {view.camera.name: _median(distance_px[..., c]) for c, view in enumerate(session.views)}
+    diagonals = {view.camera.name: float(np.hypot(*view.camera.size_px)) for view in session.views}
+    return {name: {"px": px, "of_diagonal": px / diagonals[name]} for name, px in medians.items() if px is not None}
 
 
 def _median(values: NDArray[np.floating]) -> float | None:

@@ -77,6 +77,16 @@ def test_empty_silhouettes_and_those_of_the_background_tell_nothing(share):
     assert sentence.startswith("frames 2-4: no camera's silhouette can be a person's")
 
 
+def test_a_camera_that_fits_worse_than_the_others_is_named():
+    errors = {"a": 8.0, "b": 31.0, "c": 9.0, "d": 10.0}
+    figures = {"reprojection_by_camera": {name: {"px": px, "of_diagonal": px / 1000} for name, px in errors.items()}}
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith("camera 'b' fits worse than the others: its keypoints are 31 px (3.1% of the image's diagonal) from the body")
+    assert "those of the others 0.9% (median)" in sentence
+    figures["reprojection_by_camera"]["b"] = {"px": 17.0, "of_diagonal": 0.017}
+    assert fit_sentences(figures) == []
+
+
 def test_a_body_that_no_camera_can_see_is_off_whatever_the_session_has():
     figures = fit_figures(_fit(silhouette=np.nan), [_fit(body=0.0, silhouette=np.nan)] * 3) | {"frames": 3}
     assert figures["fit_by"] is None and figures["frames_off"] == figures["frames_outside"] == [0, 1, 2]
