@@ -8,7 +8,6 @@ from bayes_body.initial.fitting.outline import LEAST_OVERLAP
 from bayes_body.results.metrics.plausibility import LEAST_COVER, MOST_DISTANCE, SILHOUETTE
 from bayes_body.results.posterior.mixing_sentences import frame_ranges
 
-
 # How many times as far from the body a camera's keypoints are as those of the others, and the least share of the diagonal that counts.
 WORSE, LEAST_ERROR = 2.0, 0.01
 
@@ -64,8 +63,8 @@ def _worst_camera(figures: Mapping[str, Any]) -> str | None:
     if share <= LEAST_ERROR or share <= WORSE * usual:
         return None
     return (
-        f"camera '{worst}' fits worse than the others: its keypoints are {cameras[worst]['px']:.0f} px ({share:.1%} of the image's diagonal) from the "
-        f"body, those of the others {usual:.1%} (median): its calibration, its clock or its keypoints may be wrong; look at its pictures, "
+        f"camera '{worst}' fits worse than the others: its keypoints are {cameras[worst]['px']:.0f} px ({share:.1%} of the image's diagonal) from "
+        f"the body, those of the others {usual:.1%} (median): its calibration, its clock or its keypoints may be wrong; look at its pictures, "
         "or remove its [[camera]] from session.toml."
     )
 
