@@ -32,7 +32,7 @@ class Scaling(NamedTuple):
 
     Attributes:
         values: the body's lengths, metres; empty if they are not fitted.
-        groups: 1 where a length (row) depends on a parameter (column).
+        groups: how much the logarithm of a length (row) changes with a parameter (column); 1 where it is its own.
         contributions: what each length adds to the body's arrays.
     """
 

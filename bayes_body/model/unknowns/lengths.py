@@ -2,12 +2,19 @@ r"""The body's lengths as unknowns: an overall scale and a deviation of each bon
 
 $$\ell_k = \bar\ell_k \exp(x_{\mathrm{overall}} + x_{\mathrm{bone}(k)}),$$
 
-with the mean $\bar\ell_k$ that follows from the session: from its lengths, else from the subject's height, else from the body file. The overall scale
-correlates all lengths, as a person's height does. Radii do not change: `widths` changes them.
+with the mean $\bar\ell_k$ that follows from the session: from its lengths, else from the subject's height, else from the body file. Radii do not
+change: `widths` changes them.
 
-The standard deviations: human stature has a coefficient of variation of 4 to 5 % among adults of both sexes together, and a segment's share of
-stature one of 4 to 5 % more (Drillis & Contini 1966; Winter 2009, 4.1, gives means only). Pelvis, clavicle, head and torso have wider ones, because
-their ends are not joints that anyone sees.
+The overall scale is that of the stature, and a bone's deviation that of its share of the stature. Their standard deviations and the correlations of
+the shares are those of 187 measured people (models/learned/bone_lengths.toml). A long thigh goes with a short torso, -0.45, because the stature is
+their sum. A given height leaves the shares as uncertain as they were. Means are the body file's, because measured landmarks are not the joints'
+centres; the standard deviations count this too.
+
+The entries of the value are independent, so that all kernels see what they know. With the symmetric root of the correlations R,
+
+$$x_{\mathrm{bones}} = D R^{1/2} D^{-1} z, \qquad z \sim \mathcal N(0, D^2), \qquad \operatorname{cov} x_{\mathrm{bones}} = D R D.$$
+
+Reports show x, by the names of the bones.
 """
 
 from collections.abc import Mapping
@@ -23,27 +30,30 @@ from bayes_body.base.toml.schema import Finite, Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
+from bayes_body.model.unknowns.people import bone_variation, symmetric_root
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
 
 NAME, OVERALL = "lengths", "overall"
-BONE_SD = {"*clavicle": 0.12, "*pelvis": 0.15, "head": 0.10, "torso": 0.08, "*": 0.06}
+# Of bones that were not measured.
+OTHER_SD = 0.06
 
 
 class Options(UnknownSchema):
     """Options of `[[unknown]] kind = "lengths"`: relative standard deviations."""
 
-    overall_sd: Positive = 0.05
+    overall_sd: Positive = 0.055
     """of all lengths together, if the session does not give the subject's height."""
-    overall_sd_with_height: Positive = 0.02
-    """the same if the session gives it."""
+    overall_sd_with_height: Positive = 0.015
+    """the same if the session gives it. Heights that people tell are wrong by this much."""
     bone_sd: Mapping[str, Positive] = {}
-    """table: a length's name or a pattern = its standard deviation beside that of all lengths together; what is not named has 0.06, torso 0.08, head
-    0.10, clavicles 0.12 and pelvis 0.15."""
+    """table: a length's name or a pattern = its standard deviation beside that of all lengths together, in place of the learned one. Correlations
+    stay. Learned ones are 0.045 to 0.065 for limbs, hands and feet, torso 0.07, head 0.09, heels 0.10, clavicles 0.11 and pelvis 0.14; a length that
+    is none of these has 0.06."""
     bone_mean: Mapping[str, Finite] = {}
     """relative; table: a bone's name or a pattern = how much longer it is expected to be than the body file says, as a logarithm. For bones that the
     session gives, it is 0."""
     sides: Literal["alike", "free"] = "alike"
-    """`"alike"`: a left and a right bone have one deviation. `"free"`: each has its own."""
+    """`"alike"`: a left and a right bone have one deviation. `"free"`: each has its own, without correlations."""
     lasts_s: Positive = 3600.0
     """[s] after this time an error has faded to 37 %. Bones do not change."""
 
@@ -69,9 +79,18 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     means = deviations(options.bone_mean, {"*": 0.0}, bones, "unknown 'lengths': bone_mean", "bone")
     mean = [0.0 if {name, f"l_{name}", f"r_{name}"} & setting.measured else value for name, value in zip(bones, means, strict=True)]
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
-    sd = [overall, *deviations(options.bone_sd, BONE_SD, bones, "unknown 'lengths': bone_sd", "bone")]
-    prior = unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd, options.lasts_s, setting, Body, change, growth)
-    return replace(prior, mean=jnp.asarray([0.0, *mean], prior.mean.dtype))
+    usual = {f"*{name}": value for name, value in bone_variation().sd.items()} | {"*": OTHER_SD}
+    bone_sd = np.array(deviations(options.bone_sd, usual, bones, "unknown 'lengths': bone_sd", "bone"))
+    mixing = np.eye(1 + len(bones))
+    if options.sides == "alike":
+        mixing[1:, 1:] = bone_sd[:, None] * symmetric_root(bone_variation().correlations(bones)) / bone_sd
+    growth = growth._replace(groups=growth.groups @ jnp.asarray(mixing[1:, 1:], growth.groups.dtype))
+    prior = unknown_about_zero(
+        NAME, (OVERALL, *bones), ("",) * len(mixing), [overall, *bone_sd.tolist()], options.lasts_s, setting, Body, change, growth
+    )
+    # The entries at which the bones have their expected deviations.
+    centre = np.linalg.solve(mixing, [0.0, *mean])
+    return replace(prior, mean=jnp.asarray(centre, prior.mean.dtype), mixing=jnp.asarray(mixing, prior.mean.dtype))
 
 
 def lengths_of(term: Unknown, values: Float[np.ndarray, "*batch entry"]) -> Float[np.ndarray, "*batch length"]:

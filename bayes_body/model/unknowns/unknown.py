@@ -74,7 +74,7 @@ def unchanged(node: Any) -> Any:
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["name", "space", "node", "sides", "prepare", "reads"],
-    data_fields=["mean", "sd", "retention", "change"],
+    data_fields=["mean", "sd", "retention", "change", "mixing"],
 )
 @dataclass(frozen=True)
 class Unknown:
@@ -82,7 +82,7 @@ class Unknown:
 
     Attributes:
         name: the variable.
-        space: its space, with a label and a unit for each entry.
+        space: its space, with a label and a unit for each entry, or for what they mix to.
         node: the type of the nodes that it changes.
         change: `(node, value, variables) -> node`; a `jax.tree_util.Partial`.
         mean: the prior's mean.
@@ -91,6 +91,8 @@ class Unknown:
         sides: the sides of the factors that it changes.
         prepare: `node -> node`, what is done to the nodes once, when the model is built.
         reads: other variables that `change` needs, such as `velocity`.
+        mixing: the labels name `mixing @ value`, quantities that are correlated in the prior while all kernels see independent entries; None if they
+            name the entries themselves.
     """
 
     name: str
@@ -103,6 +105,7 @@ class Unknown:
     sides: tuple[Side, ...] = SIDES
     prepare: Callable[[Any], Any] = unchanged
     reads: tuple[str, ...] = ()
+    mixing: Float[Array, "entry entry"] | None = None
 
     def prior(self) -> Distribution:
         """Return the distribution in any frame, if nothing is known."""
@@ -120,6 +123,15 @@ class Unknown:
     def noise_about(self, value: Float[Array, " entry"], scale: Scalar) -> Distribution:
         """Return the noise of one frame about a value, with its standard deviation multiplied by `scale`."""
         return Normal(value, scale * self._noise).to_event(1)
+
+    def named(self, values: Float[np.ndarray, "*batch entry"]) -> Float[np.ndarray, "*batch entry"]:
+        """Return what the labels name."""
+        return values if self.mixing is None else values @ np.asarray(self.mixing, float).T
+
+    def named_sd(self) -> Float[np.ndarray, " entry"]:
+        """Return the prior's standard deviations of what the labels name."""
+        sd = np.asarray(self.sd, float)
+        return sd if self.mixing is None else np.linalg.norm(np.asarray(self.mixing, float) * sd, axis=1)
 
     def concerns(self, factor: Factor) -> bool:
         """Whether a factor holds a node that this changes."""

@@ -7,6 +7,7 @@ Where lengths are wrong and not among the unknowns, joints bend to make up for t
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from bayes_body.model.build import Model
 from bayes_body.model.unknowns.unknown import Unknown
 from bayes_body.results.posterior.agreement import independent_draws
 from bayes_body.results.posterior.blocks import Block, weights_of_runs
-from bayes_body.results.posterior.thinning import weighted_mean
+from bayes_body.results.posterior.thinning import MEAN, RHAT, weighted_mean
 from bayes_body.results.posterior.weighted import frame_rhat
 from bayes_body.tracking.draws import FrameResult
 
@@ -47,11 +48,12 @@ def unknown_figures(model: Model, frame: FrameResult, index: int, is_sample: boo
 
 def _rows(term: Unknown, frame: FrameResult, index: int, is_sample: bool) -> Iterator[dict[str, Any]]:
     """Yield the figures of each entry, over all runs, in the unit of the entry."""
+    frame = _with_named(term, frame)
     values, weights = np.asarray(frame.states[term.name], float), weights_of_runs(np.asarray(frame.log_weights, float)[..., None])
     means = np.asarray(weighted_mean(frame, term.name, term.space), float)
     variance = (weights * (values - means[:, None]) ** 2).sum(axis=1).mean(axis=0) + means.var(axis=0)
     mean, sd = means.mean(axis=0), np.sqrt(variance)
-    prior_mean, prior_sd = np.asarray(term.mean, float), np.asarray(term.sd, float)
+    prior_mean, prior_sd = term.named(np.asarray(term.mean, float)), term.named_sd()
     rhat = frame_rhat(frame, index, term.name, term.space)
     for place, (label, unit) in enumerate(zip(term.space.labels, term.space.units, strict=True)):
         yield {
@@ -65,6 +67,16 @@ def _rows(term: Unknown, frame: FrameResult, index: int, is_sample: bool) -> Ite
             "sd_ratio": float(sd[place] / prior_sd[place]) if is_sample else None,
             "rhat": float(rhat[place]) if np.isfinite(rhat[place]) else None,
         }
+
+
+def _with_named(term: Unknown, frame: FrameResult) -> FrameResult:
+    """Return the frame with what the labels name in place of the unknown's entries."""
+    if term.mixing is None:
+        return frame
+    # The mean of all particles mixes as they do. R-hat does not: it is that of the particles that are stored.
+    figures = {name: values for name, values in frame.figures.items() if name != RHAT + term.name}
+    figures |= {name: term.named(values) for name, values in figures.items() if name == MEAN + term.name}
+    return replace(frame, states={**frame.states, term.name: term.named(np.asarray(frame.states[term.name], float))}, figures=figures)
 
 
 def _block(term: Unknown, frame: FrameResult) -> Block:

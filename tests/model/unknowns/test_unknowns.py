@@ -109,11 +109,11 @@ def test_without_unknowns_factors_are_as_they_were(known):
 
 def test_lengths_are_those_of_a_body_that_is_built_with_them(model, keypoint_session):
     change = draw(model, "lengths")
-    labels = term(model, "lengths").space.labels
+    named, labels = term(model, "lengths").named(change), term(model, "lengths").space.labels
     schema = model.definition.body
     stems = {name: name[2:] if name.startswith(("l_", "r_")) else name for name in schema.lengths_of_height}
     height = keypoint_session.subject.height_m or schema.height_m
-    lengths = {name: share * height * np.exp(change[0] + change[labels.index(stems[name])]) for name, share in schema.lengths_of_height.items()}
+    lengths = {name: share * height * np.exp(named[0] + named[labels.index(stems[name])]) for name, share in schema.lengths_of_height.items()}
     subject = Subject(body=model.definition.body_name, lengths_m=lengths)
     other = build_model(with_unknowns("keypoints"), dataclasses.replace(keypoint_session, subject=subject))
     np.testing.assert_allclose(expected(model, lengths=change)[..., :2], expected(other), atol=2e-3)
@@ -125,6 +125,25 @@ def test_lengths_are_those_of_a_body_that_is_built_with_them(model, keypoint_ses
     np.testing.assert_allclose(
         markers(model, np.asarray(pose)[None], lengths=change[None].astype(np.float32))[0], placed_markers(body, pose), atol=1e-6
     )
+
+
+def test_bones_have_the_deviations_and_correlations_that_were_learned(model, keypoint_session):
+    """The covariance of the bones is that of the definition, and their mean is the one expected, by name, whatever the entries are."""
+    definition = with_unknowns("keypoints", "lengths", extra="bone_sd = { thigh = 0.02 }\nbone_mean = { calf = 0.1 }\n")
+    told = dataclasses.replace(keypoint_session, subject=dataclasses.replace(keypoint_session.subject, height_m=None, lengths_m={}))
+    unknown = term(build_model(definition, told), "lengths")
+    labels, mixing = unknown.space.labels, np.asarray(unknown.mixing, float)
+    covariance = mixing * np.asarray(unknown.sd, float) ** 2 @ mixing.T
+    sd = dict(zip(labels, np.sqrt(np.diagonal(covariance)), strict=True))
+    np.testing.assert_allclose(unknown.named_sd(), list(sd.values()), rtol=1e-6)
+    assert (sd["overall"], sd["thigh"], sd["calf"]) == pytest.approx((0.055, 0.02, 0.0518), abs=1e-4)
+    torso, thigh, calf = (labels.index(name) for name in ("torso", "thigh", "calf"))
+    assert covariance[thigh, torso] / (sd["thigh"] * sd["torso"]) == pytest.approx(-0.45, abs=1e-5)
+    np.testing.assert_allclose(covariance[0, 1:], 0, atol=1e-9)
+    np.testing.assert_allclose(unknown.named(np.asarray(unknown.mean, float)), np.where(np.arange(len(labels)) == calf, 0.1, 0), atol=1e-6)
+    free = term(build_model(with_unknowns("keypoints", "lengths", extra='sides = "free"\n'), keypoint_session), "lengths")
+    np.testing.assert_allclose(free.named_sd(), free.sd, rtol=1e-6)
+    assert {"l_thigh", "r_thigh"} < set(free.space.labels)
 
 
 def test_walls_have_the_lengths_too(model):

@@ -40,7 +40,10 @@ def test_figures_are_those_of_all_weighted_draws(model):
     assert [(row["name"], row["entry"]) for row in figures["unknowns"]] == [
         (term.name, label) for term in model.unknowns for label in term.space.labels
     ]
-    lengths, weights = frame.states["lengths"].reshape(-1, frame.states["lengths"].shape[-1]), np.exp(log_weights).reshape(-1) / RUNS
+    # A label names a bone, and the entries mix to the bones.
+    mixing = np.asarray(model.unknowns[0].mixing, float)
+    assert not np.allclose(mixing, np.eye(len(mixing)), atol=0.05)
+    lengths, weights = frame.states["lengths"].reshape(-1, len(mixing)) @ mixing.T, np.exp(log_weights).reshape(-1) / RUNS
     mean = weights @ lengths
     sd = np.sqrt(weights @ (lengths - mean) ** 2)
     for place, label in enumerate(model.unknowns[0].space.labels):
