@@ -16,6 +16,7 @@ or lie some centimetres from their landmarks, it is a judgement.
 
 import argparse
 import csv
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -116,7 +117,7 @@ def _person(path: Path, number: int, row: Mapping[str, str | None]) -> tuple[str
             ) from None
 
     lengths = [measured(STATURE), *(measured(start) - (measured(end) if end else 0.0) for start, end in BONES.values())]
-    if min(lengths) <= 0:
+    if not all(0 < length < math.inf for length in lengths):
         raise input_error(f"{path}, person {number}", "a bone without length", "heights in the order of a body", "correct the row or take it out")
     return str(row[SEX]), lengths
 
