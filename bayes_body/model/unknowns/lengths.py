@@ -25,8 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_body.base.errors import input_error
 from bayes_body.base.registry import register
-from bayes_body.base.toml.schema import Finite, Positive
+from bayes_body.base.toml.schema import Finite, NonNegative, Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
 from bayes_body.model.body.solids import Body
@@ -45,10 +46,10 @@ class Options(UnknownSchema):
     """of all lengths together, if the session does not give the subject's height."""
     overall_sd_with_height: Positive = 0.015
     """the same if the session gives it. Heights that people tell are wrong by this much."""
-    bone_sd: Mapping[str, Positive] = {}
+    bone_sd: Mapping[str, NonNegative] = {}
     """table: a length's name or a pattern = its standard deviation beside that of all lengths together, in place of the learned one. Correlations
     stay. Learned ones are 0.045 to 0.065 for limbs, hands and feet, torso 0.07, head 0.09, heels 0.10, clavicles 0.11 and pelvis 0.14; a length that
-    is none of these has 0.06."""
+    is none of these has 0.06. With 0, a length is known but for the overall scale."""
     bone_mean: Mapping[str, Finite] = {}
     """relative; table: a bone's name or a pattern = how much longer it is expected to be than the body file says, as a logarithm. For bones that the
     session gives, it is 0."""
@@ -66,31 +67,47 @@ def change(growth: Scaling, body: Body, value: Float[Array, " entry"], values: V
 
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
-    """Build the unknown for one body."""
+    """Build the unknown for one body.
+
+    Raises:
+        InputError: a key matches no bone, or a bone that is known has another mean.
+    """
     growth, names = scaling(setting.body, setting.schema), tuple(setting.schema.lengths_of_height)
     if options.sides == "free":
         bones, growth = names, growth._replace(groups=jnp.eye(len(names), dtype=growth.groups.dtype))
     else:
         bones = tuple(dict.fromkeys(name[2:] if name.startswith(("l_", "r_")) else name for name in names))
+    usual = {f"*{name}": value for name, value in bone_variation().sd.items()} | {"*": OTHER_SD}
+    every_sd = deviations(options.bone_sd, usual, bones, "unknown 'lengths': bone_sd", "bone")
+    means = deviations(options.bone_mean, {"*": 0.0}, bones, "unknown 'lengths': bone_mean", "bone")
+    _check_means(dict(zip(bones, zip(means, every_sd, strict=True), strict=True)))
     # A length on which nothing depends has nothing to say.
     used = np.asarray(growth.groups).T @ (np.asarray(growth.values) != 0) > 0
-    growth = growth._replace(groups=growth.groups[:, np.flatnonzero(used)])
-    bones = tuple(name for name, is_used in zip(bones, used, strict=True) if is_used)
-    means = deviations(options.bone_mean, {"*": 0.0}, bones, "unknown 'lengths': bone_mean", "bone")
-    mean = [0.0 if {name, f"l_{name}", f"r_{name}"} & setting.measured else value for name, value in zip(bones, means, strict=True)]
+    chosen = [place for place, sd in enumerate(every_sd) if used[place] and sd > 0]
+    bones, bone_sd = tuple(bones[place] for place in chosen), np.array([every_sd[place] for place in chosen])
+    mean = [0.0 if {bones[k], f"l_{bones[k]}", f"r_{bones[k]}"} & setting.measured else means[place] for k, place in enumerate(chosen)]
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
-    usual = {f"*{name}": value for name, value in bone_variation().sd.items()} | {"*": OTHER_SD}
-    bone_sd = np.array(deviations(options.bone_sd, usual, bones, "unknown 'lengths': bone_sd", "bone"))
     mixing = np.eye(1 + len(bones))
     if options.sides == "alike":
         mixing[1:, 1:] = bone_sd[:, None] * symmetric_root(bone_variation().correlations(bones)) / bone_sd
-    growth = growth._replace(groups=growth.groups @ jnp.asarray(mixing[1:, 1:], growth.groups.dtype))
+    growth = growth._replace(groups=growth.groups[:, np.array(chosen, int)] @ jnp.asarray(mixing[1:, 1:], growth.groups.dtype))
     prior = unknown_about_zero(
         NAME, (OVERALL, *bones), ("",) * len(mixing), [overall, *bone_sd.tolist()], options.lasts_s, setting, Body, change, growth
     )
     # The entries at which the bones have their expected deviations.
     centre = np.linalg.solve(mixing, [0.0, *mean])
     return replace(prior, mean=jnp.asarray(centre, prior.mean.dtype), mixing=jnp.asarray(mixing, prior.mean.dtype))
+
+
+def _check_means(priors: Mapping[str, tuple[float, float]]) -> None:
+    """Check that no bone has another mean, but no standard deviation."""
+    for bone, (mean, sd) in priors.items():
+        if mean and not sd:
+            problem, remedy = (
+                f"{mean:g}, and {bone} has the standard deviation 0",
+                "raise bone_sd, or give the length in the session or the body file",
+            )
+            raise input_error(f"unknown 'lengths': bone_mean.{bone}", problem, "a bone that is not known", remedy)
 
 
 def lengths_of(term: Unknown, values: Float[np.ndarray, "*batch entry"]) -> Float[np.ndarray, "*batch length"]:
