@@ -1,6 +1,6 @@
 """`bayes-body gait`: foot strikes, toe offs, strides, cadence, speed and peak angles of a smoothed run, each with its uncertainty."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,8 @@ FILE_NAME = "gait.csv"
 SIDES = {"r": "right", "l": "left", "": ""}
 # A quantity that fewer draws have is marked: it may be no event at all.
 MOST = 0.9
+# An angle that the images do not determine shows what the motion prior expects.
+NOT_DETERMINED = "not determined: as wide as the motion prior"
 # The angles that are printed; the file has all.
 LEGS = ("pelvic", "hip", "knee", "ankle")
 
@@ -37,6 +39,7 @@ def gait(
 
     configure()
     from bayes_body.base.files.atomic import check_free, make_folder
+    from bayes_body.results.clinical.determined import undetermined_angles
     from bayes_body.results.clinical.gait import POINTS, gait_of
     from bayes_body.results.clinical.gait_table import event_rows, walk_rows, write_gait
     from bayes_body.results.clinical.ranges import ranges_of, stride_ranges
@@ -49,6 +52,7 @@ def gait(
         up = "xyz".index(saved.session.up)
         walk = gait_of(marker_paths(saved, POINTS), saved.fps, up)
         angles = angle_paths(saved.tree, saved.model, up, saved.fps)
+        undetermined = undetermined_angles(saved.model, up, angles.labels, angles.degrees.std(axis=0))
         ranges = [*ranges_of(angles), *stride_ranges(angles, walk, saved.fps)]
     make_folder(path.parent)
     write_gait(walk, path, ranges)
@@ -59,7 +63,7 @@ def gait(
             show(_table(title, rows))
     legs = [angle_range for angle_range in ranges if not angle_range.stride and angle_range.name.startswith(LEGS)]
     if legs:
-        show(_angle_table("Angles of the legs over the recording, degrees, with 90 % intervals", legs))
+        show(_angle_table("Angles of the legs over the recording, degrees, with 90 % intervals", legs, undetermined))
     say(f"{path}: {len(walk.events)} events, {len(walk.strides)} strides, {len(angles.names)} angles.")
 
 
@@ -79,7 +83,7 @@ def _table(title: str, rows: "Sequence[Row]") -> "Table":
     return table
 
 
-def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
+def _angle_table(title: str, ranges: "Sequence[AngleRange]", undetermined: Collection[str]) -> "Table":
     from rich.table import Table
 
     from bayes_body.results.clinical.gait_table import angle_rows
@@ -89,8 +93,11 @@ def _angle_table(title: str, ranges: "Sequence[AngleRange]") -> "Table":
         table.add_column(name)
     for name in ("largest", "smallest", "range"):
         table.add_column(name, justify="right")
+    table.add_column("")
     for angle_range in ranges:
         # Adding 0 turns -0 into 0.
         figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([angle_range]))
-        table.add_row(angle_range.name.replace("_", " "), SIDES[angle_range.side], *figures)
+        table.add_row(
+            angle_range.name.replace("_", " "), SIDES[angle_range.side], *figures, NOT_DETERMINED if angle_range.label in undetermined else ""
+        )
     return table

@@ -16,6 +16,7 @@ from bayes_body.initial import Show
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frame_pairs import pair_sentences
 from bayes_body.recording.session.session import Session
+from bayes_body.results.clinical.determined import undetermined_angles
 from bayes_body.results.clinical.ranges import range_figures, ranges_of
 from bayes_body.results.clinical.trajectories import angle_paths
 from bayes_body.results.metrics import summarise
@@ -161,7 +162,9 @@ def _diagnosed(results: Results, bar: bool) -> tuple[dict[str, Any], list[str]]:
 def _angles(session: Session, model: Model, results: Results) -> dict[str, Any]:
     """Peaks and ranges of motion of a smoothed run. The draws of a filter are no paths, and have none."""
     with results.posterior() as tree:
-        return range_figures(ranges_of(angle_paths(tree, model, "xyz".index(session.up), session.fps)))
+        up = "xyz".index(session.up)
+        paths = angle_paths(tree, model, up, session.fps)
+        return range_figures(ranges_of(paths), undetermined_angles(model, up, paths.labels, paths.degrees.std(axis=0)))
 
 
 def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bool) -> list[str]:

@@ -4,6 +4,7 @@ Each draw of a smoothed run is a path, and has a peak. Mean and quantiles are th
 quantity: it is smaller, since the draws have their peaks at different times. The draws of a filter belong to single frames and have no peaks.
 """
 
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,11 @@ class AngleRange(NamedTuple):
     stride_side: Side
     largest: Float[np.ndarray, " draw"]
     smallest: Float[np.ndarray, " draw"]
+
+    @property
+    def label(self) -> str:
+        """The angle with its side, such as `knee_flexion_r`."""
+        return f"{self.name}_{self.side}" if self.side else self.name
 
     @property
     def extent(self) -> Float[np.ndarray, " draw"]:
@@ -74,12 +80,20 @@ def _within(
     return largest, smallest
 
 
-def range_figures(ranges: list[AngleRange]) -> dict[str, Any]:
-    """Return the ranges over a recording for `summary.json`: for each angle the moments of `max_deg`, `min_deg` and `range_deg`."""
+def range_figures(ranges: list[AngleRange], undetermined: Collection[str] = ()) -> dict[str, Any]:
+    """Return the ranges over a recording for `summary.json`: for each angle the moments of `max_deg`, `min_deg` and `range_deg`.
+
+    Args:
+        ranges: the ranges.
+        undetermined: names of angles, with their sides, that the images do not determine; their `determined` is false.
+    """
     return {
-        f"{angle_range.name}_{angle_range.side}" if angle_range.side else angle_range.name: {
-            name: _moments(values)
-            for name, values in (("max_deg", angle_range.largest), ("min_deg", angle_range.smallest), ("range_deg", angle_range.extent))
+        angle_range.label: {
+            **{
+                name: _moments(values)
+                for name, values in (("max_deg", angle_range.largest), ("min_deg", angle_range.smallest), ("range_deg", angle_range.extent))
+            },
+            "determined": angle_range.label not in undetermined,
         }
         for angle_range in ranges
     }

@@ -46,6 +46,11 @@ class AnglePaths(NamedTuple):
     degrees: Float[np.ndarray, "draw frame angle"]
     draws: Int[np.ndarray, " draw"]
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The angles with their sides, such as `knee_flexion_r`."""
+        return tuple(f"{name}_{side}" if side else name for name, side in zip(self.names, self.sides, strict=True))
+
 
 def marker_paths(run: SavedRun, names: Sequence[str]) -> Float[np.ndarray, "draw frame marker 3"]:
     """Return the paths of some markers, metres, of at most MOST_DRAWS draws of all runs together.

@@ -1,8 +1,11 @@
 """The clinical angles over time: mean and 90 % interval of all runs together, the right and the left side in one panel."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from bayes_body.results.clinical.conventions import CLINICAL, Angle, Convention
+from bayes_body.results.clinical.conventions import CLINICAL, Angle, Convention, Side
+from bayes_body.results.metrics.unknown_sentences import UNDETERMINED
 from bayes_body.results.posterior.moments import Moments
 from bayes_body.view.colours import SIDES as COLOURS
 from bayes_body.view.report.bands import LEAST_SPAN, draw_band, limits, sparse_frames, value_range
@@ -22,6 +25,12 @@ SEEKER = (
     "measure of uncertainty."
 )
 HANGING = "Plane and rotation of the shoulder are undetermined while the arm hangs: read the angles of the arm on the thorax there."
+# What is written at an angle that the images do not determine, and what it means.
+UNDETERMINED_MARK = "not determined"
+UNDETERMINED_NOTE = (
+    f"Not determined by the images: the posterior is as wide as the motion prior (more than {UNDETERMINED:.0%} of its standard deviation in the long "
+    "run). Such a curve shows what the prior expects, and no measurement: "
+)
 # Joints that are folded at first: their angles repeat those of another joint, in another sequence.
 FOLDED = ("shoulder",)
 
@@ -32,6 +41,9 @@ def clinical_section(inspection: Inspection) -> Markup:
     sparse = sparse_frames(inspection.frames.step)
     if sparse:
         parts.append(tag("p", f"The plots show {sparse} frame of {inspection.run.frames:,}.", class_="note"))
+    if inspection.undetermined:
+        listed = (name for name in inspection.clinical.names if name in inspection.undetermined)
+        parts.append(tag("p", f"{UNDETERMINED_NOTE}{', '.join(listed)}.", class_="note"))
     for convention in CLINICAL:
         panels = [panel for place, angle in enumerate(convention.angles) if (panel := _panel(inspection, convention, angle, place)) is not None]
         if panels:
@@ -61,8 +73,17 @@ def _panel(inspection: Inspection, convention: Convention, angle: Angle, place: 
     if len(seconds) > 1:
         axes.set_xlim(seconds[0], seconds[-1])
     axes.set_ylim(*limits(np.concatenate(shown), LEAST_SPAN["°"]))
-    descriptions = [f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}".strip() for side, curve in curves.items()]
-    return encoded(figure, f"{title} over time: {'; '.join(descriptions)}.", f"+ {angle.positive}; − {angle.negative}")
+    marks = {side: f", {UNDETERMINED_MARK}" if names[column] in inspection.undetermined else "" for side, column in sides.items()}
+    descriptions = [
+        f"{SIDES[side]} mean {value_range(curve.mean)} °{_widest(curve) if bands else ''}{marks[side]}".strip() for side, curve in curves.items()
+    ]
+    return encoded(figure, f"{title} over time: {'; '.join(descriptions)}.", _caption(angle, marks))
+
+
+def _caption(angle: Angle, marks: Mapping[Side, str]) -> str:
+    open_sides = " and ".join(SIDES[side] for side, mark in marks.items() if mark)
+    where = f" ({open_sides})" if open_sides and not all(marks.values()) else ""
+    return f"+ {angle.positive}; − {angle.negative}{f'; {UNDETERMINED_MARK}{where}' if any(marks.values()) else ''}"
 
 
 def _widest(curve: Moments) -> str:

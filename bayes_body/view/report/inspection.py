@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from bayes_body.base.errors import InputError, escaped
 from bayes_body.base.progress import Watch, unwatched
+from bayes_body.results.clinical.determined import undetermined_angles
 from bayes_body.results.clinical.moments import Curves
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
 from bayes_body.results.metrics.unknown_sentences import unknown_sentences
@@ -104,6 +105,14 @@ class Inspection:
     def clinical(self) -> Curves:
         """The clinical angles at those frames; none if the body file names no segments, or if the model can no longer be built."""
         return clinical_curves(self.run, self.frames)
+
+    @cached_property
+    def undetermined(self) -> frozenset[str]:
+        """The clinical angles of which the posterior is hardly narrower than the motion prior; none of a mode seeker, whose spread is no measure."""
+        names, moments = self.clinical
+        if not names or self.diagnosis.mode_seeker:
+            return frozenset()
+        return undetermined_angles(self.run.model, "xyz".index(self.run.session.up), names, moments.sd)
 
     @cached_property
     def filtered(self) -> FilterCurves | None:
