@@ -97,7 +97,6 @@ def _angle_table(title: str, ranges: "Sequence[AngleRange]", undetermined: Colle
     for angle_range in ranges:
         # Adding 0 turns -0 into 0.
         figures = (f"{round(row.mean, 1) + 0:.1f} ({round(row.q05, 1) + 0:.1f} to {round(row.q95, 1) + 0:.1f})" for row in angle_rows([angle_range]))
-        table.add_row(
-            angle_range.name.replace("_", " "), SIDES[angle_range.side], *figures, NOT_DETERMINED if angle_range.label in undetermined else ""
-        )
+        note = NOT_DETERMINED if angle_range.label in undetermined else ""
+        table.add_row(angle_range.name.replace("_", " "), SIDES[angle_range.side], *figures, note)
     return table
