@@ -46,18 +46,17 @@ def prior_sd_deg(model: Model, up: int) -> dict[str, float]:
     joints = joints_of(body, model.definition.body.clinical, laboratory_of(up))
     if not table or not joints or body.variable != POSE:
         return {}
-    names, rng = body.dof_names, np.random.default_rng(0)
-    angles = tuple(name for name, unit in zip(names, body.skeleton.topology.dof_units, strict=True) if unit == "rad")
+    topology, rng = body.skeleton.topology, np.random.default_rng(0)
+    angles = tuple(name for name, is_angle in zip(topology.dof_names, topology.angular, strict=True) if is_angle)
     spread, rest = by_dof(table, angles, "dynamics.spread_deg"), by_dof(options.rest_deg, angles, "dynamics.rest_deg")
-    sd, mean = (np.radians([values.get(name, 0.0) for name in names]) for values in (spread, rest))
+    sd, mean = (np.radians([values.get(name, 0.0) for name in topology.dof_names]) for values in (spread, rest))
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
-    held = np.clip(mean + sd * rng.normal(size=(DRAWS, len(names))), low, high)
-    is_free = np.array([name not in spread for name in names])
-    freely = np.where(is_free, np.clip(rng.uniform(-1.0, 1.0, (TRIALS, len(names))), low, high), mean)
-    turned, moved = (_angles(model, joints, poses) for poses in (held, freely))
-    is_open = np.ptp(moved, axis=0) > CHANGE
-    labels = [name for joint in joints for name in joint.names]
-    return {name: np.inf if free else float(np.degrees(sd)) for name, sd, free in zip(labels, turned.std(axis=0), is_open, strict=True)}
+    # An angle that a free dof changes is free.
+    free_turns = [0.0 if name in spread else 1.0 for name in topology.dof_names] * rng.uniform(-1.0, 1.0, (TRIALS, len(sd)))
+    is_free = np.ptp(_angles(model, joints, np.clip(mean + free_turns, low, high)), axis=0) > CHANGE
+    drawn = _angles(model, joints, np.clip(mean + sd * rng.normal(size=(DRAWS, len(sd))), low, high))
+    angle_sd = np.where(is_free, np.inf, np.degrees(drawn.std(axis=0)))
+    return dict(zip([name for joint in joints for name in joint.names], angle_sd.tolist(), strict=True))
 
 
 def _angles(model: Model, joints: Sequence[Joint], poses: Float[np.ndarray, "draw dof"]) -> Float[np.ndarray, "draw angle"]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_body.results.clinical.conventions import CLINICAL, Angle, Convention, Side
+from bayes_body.results.clinical.conventions import CLINICAL, Angle, Convention
 from bayes_body.results.metrics.unknown_sentences import UNDETERMINED
 from bayes_body.results.posterior.moments import Moments
 from bayes_body.view.colours import SIDES as COLOURS
@@ -80,10 +80,10 @@ def _panel(inspection: Inspection, convention: Convention, angle: Angle, place: 
     return encoded(figure, f"{title} over time: {'; '.join(descriptions)}.", _caption(angle, marks))
 
 
-def _caption(angle: Angle, marks: Mapping[Side, str]) -> str:
+def _caption(angle: Angle, marks: Mapping[str, str]) -> str:
     open_sides = " and ".join(SIDES[side] for side, mark in marks.items() if mark)
-    where = f" ({open_sides})" if open_sides and not all(marks.values()) else ""
-    return f"+ {angle.positive}; − {angle.negative}{f'; {UNDETERMINED_MARK}{where}' if any(marks.values()) else ''}"
+    only = f" ({open_sides})" if open_sides and not all(marks.values()) else ""
+    return f"+ {angle.positive}; − {angle.negative}{f'; {UNDETERMINED_MARK}{only}' if any(marks.values()) else ''}"
 
 
 def _widest(curve: Moments) -> str:
