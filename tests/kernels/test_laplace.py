@@ -143,6 +143,18 @@ def test_of_a_skewed_target_moments_and_evidence_are_those_of_quadrature():
     check_skewed()
 
 
+def test_a_second_attempt_that_finds_no_other_mode_keeps_the_draws_of_the_first():
+    """Its own draws come from a mixture, in which few weights count."""
+    target = density(_gumbel)
+    first, second = (run(target, moments="slopes", most_k=99.0, least_ess=least) for least in (1e-6, 0.999))
+    assert (int(first.info.modes["attempt"]), int(second.info.modes["attempt"])) == (0, 1)
+    np.testing.assert_allclose(second.mean, first.mean, atol=1e-6)
+    np.testing.assert_allclose(second.covariance, first.covariance, atol=1e-6)
+    # With weights, the second attempt has its own.
+    other = run(target, moments="weights", most_k=99.0, least_ess=0.999)
+    assert np.abs(other.mean - first.mean).max() > 1e-4
+
+
 def test_slopes_left_out_are_found_out(monkeypatch):
     monkeypatch.setattr(laplace_filter, "corrected_moments", lambda draws, log_weights, slopes: moment_correction.moments(draws, log_weights))
     with pytest.raises(AssertionError):

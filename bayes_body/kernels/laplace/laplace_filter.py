@@ -34,7 +34,7 @@ from bayes_body.kernels.batching import one_device, over_particles
 from bayes_body.kernels.laplace.fallback import TEMPERED, build_fallback
 from bayes_body.kernels.laplace.mode import find_mode
 from bayes_body.kernels.laplace.pareto import pareto_shape
-from bayes_body.kernels.laplace.proposal import draw, numbers, proposal_from
+from bayes_body.kernels.laplace.proposal import COMPETES, draw, numbers, proposal_from
 from bayes_body.kernels.smc.moment_correction import corrected_moments, noise_beside, with_moments
 from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.kernels.smc.tempering import MOST_IMPOSSIBLE
@@ -134,7 +134,8 @@ def build_kernel(**options: Any) -> Kernel:
         # Draws are few. Another device would be waited for longer than it computes.
         with one_device():
             view = gaussian_view(view_key, density.with_previous(particles), "the kernel laplace", "use --kernel tempered")
-            return _result(end_key, view, _attempts(attempt_key, view, particles.log_weights.shape[0], checked), checked.moments)
+            attempts = _attempts(attempt_key, view, particles.log_weights.shape[0], checked)
+            return _result(end_key, view, attempts, checked.moments)
 
     return kernel if checked.fallback == "none" else KernelWithFallback(kernel, _limits(checked).fails, build_fallback())
 
@@ -143,14 +144,44 @@ def _limits(options: Options) -> Limits:
     return Limits(options.most_k, options.least_ess)
 
 
-def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempt:
-    """Return the first attempt, or if it is bad the second."""
+class Attempts(NamedTuple):
+    """The first attempt, and the last one: the same, or if that is bad the second."""
 
-    def attempt(previous: Attempt) -> Attempt:
-        return _attempt(jax.random.fold_in(key, previous.number), view, previous, options)
+    first: Attempt
+    last: Attempt
 
-    most, limits = 2 if options.more_starts > options.starts else 1, _limits(options)
-    return jax.lax.while_loop(lambda last: (last.number == 0) | (limits.exclude(last) & (last.number < most)), attempt, _empty(view, count))
+    @property
+    def agree(self) -> Flag:
+        """Whether the second attempt confirms the normal distribution of the first: no other mode competes, and the evidence is the same."""
+        one_mode = jnp.round(self.last.modes) <= 1
+        return one_mode & (self.first.log_evidence > self.last.log_evidence - COMPETES)
+
+    @property
+    def with_normal_draws(self) -> Attempt:
+        """The last attempt, with the draws of the first if both agree.
+
+        The draws of the second come from a mixture, which has no single mean and covariance, and its few effective weights would put a noise of one
+        standard deviation into the moments.
+        """
+        first, last = ({"draws": tried.draws, "slopes": tried.slopes, "impossible": tried.impossible} for tried in self)
+        return self.last._replace(**jax.tree.map(lambda old, new: jnp.where(self.agree, old, new), first, last))
+
+
+def _attempts(key: Key, view: GaussianView, count: int, options: Options) -> Attempts:
+    """Return the attempts of a frame."""
+
+    def attempt(previous: Attempts) -> Attempts:
+        last = _attempt(jax.random.fold_in(key, previous.last.number), view, previous.last, options)
+        # Only the slopes need the first one again.
+        is_first = (last.number == 1) | (options.moments != "slopes")
+        return Attempts(jax.tree.map(lambda new, old: jnp.where(is_first, new, old), last, previous.first), last)
+
+    most, limits, begin = 2 if options.more_starts > options.starts else 1, _limits(options), _empty(view, count)
+
+    def goes_on(attempts: Attempts) -> Flag:
+        return (attempts.last.number == 0) | (limits.exclude(attempts.last) & (attempts.last.number < most))
+
+    return jax.lax.while_loop(goes_on, attempt, Attempts(begin, begin))
 
 
 def _empty(view: GaussianView, count: int) -> Attempt:
@@ -191,12 +222,12 @@ def _attempt(key: Key, view: GaussianView, previous: Attempt, options: Options) 
     )
 
 
-def _result(key: Key, view: GaussianView, last: Attempt, how: Literal["weights", "slopes"]) -> tuple[Particles, FilterInfo]:
-    """Return the particles of an attempt, with corrected moments, and its figures."""
+def _result(key: Key, view: GaussianView, attempts: Attempts, how: Literal["weights", "slopes"]) -> tuple[Particles, FilterInfo]:
+    """Return the particles of the last attempt, with corrected moments, and its figures."""
+    last = attempts.with_normal_draws if how == "slopes" else attempts.last
     log_weights = last.log_weights
     if how == "slopes":
-        # Those of the second attempt come from a mixture, which has no single mean and covariance.
-        is_normal = (last.number == 1) & ~last.is_lost & jnp.all(jnp.isfinite(last.slopes))
+        is_normal = ((last.number == 1) | attempts.agree) & ~last.is_lost & jnp.all(jnp.isfinite(last.slopes))
         log_weights = jnp.where(is_normal, -jnp.log(log_weights.shape[0]), log_weights)
     corrected = with_moments(last.draws, log_weights, corrected_moments(last.draws, log_weights, last.slopes))
     # Slopes know nothing of a wall without a slope.
