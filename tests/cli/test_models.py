@@ -183,7 +183,7 @@ def test_a_body_written_out_that_cannot_be_used(cli, own_model, fault):
 def test_the_axes_of_a_body_are_drawn_and_its_angles_named(cli, tmp_path):
     outcome = cli("models", "axes", "keypoints", "--out", tmp_path / "axes.png")
     assert outcome.status == 0, outcome.err
-    assert "30 clinical angles of the body deutscher_31: pelvic_rotation," in outcome.out and (tmp_path / "axes.png").stat().st_size > 20_000
+    assert "36 clinical angles of the body person_35: pelvic_rotation," in outcome.out and (tmp_path / "axes.png").stat().st_size > 20_000
     cli("models", "axes", "keypoints", "--out", tmp_path / "axes.png").refuses("already exists", "--overwrite")
 
 

@@ -15,7 +15,7 @@ from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
-from bayes_body.recording.evidence.markers import MARKERS, MarkerEvidence
+from bayes_body.recording.evidence.markers import KEYPOINTS, MarkerEvidence
 from bayes_body.recording.session.session import Subject
 from bayes_body.results.posterior.weighted import markers
 
@@ -52,8 +52,8 @@ def data(model):
     rng = np.random.default_rng(5)
     factor = next(factor for factor in model.factors if factor.name == LIKELIHOOD)
     pixels = np.asarray(factor.log_potential.inner(values(model)))[..., :2]
-    evidence = MarkerEvidence(np.zeros((len(pixels), len(MARKERS), 2), np.float32), np.zeros((len(pixels), len(MARKERS)), np.float32))
-    places = [MARKERS.index(name) for name in model.body.markers.names]
+    evidence = MarkerEvidence(np.zeros((len(pixels), len(KEYPOINTS), 2), np.float32), np.zeros((len(pixels), len(KEYPOINTS)), np.float32))
+    places = [KEYPOINTS.index(name) for name in model.body.markers.names]
     evidence.pixels[:, places] = pixels + rng.normal(size=pixels.shape) * 5
     evidence.confidence[:, places] = 1.0
     return {LIKELIHOOD: evidence}
@@ -203,7 +203,7 @@ def test_noise_is_that_of_a_likelihood_with_another_deviation(model, known, data
     scaled = dataclasses.replace(likelihood, sd_px=likelihood.sd_px * jnp.exp(jnp.asarray(scale, jnp.float32)))
     points = placed_markers(known.body, known.first_pose)
     evidence = data[LIKELIHOOD]
-    places = [MARKERS.index(name) for name in known.body.markers.names]
+    places = [KEYPOINTS.index(name) for name in known.body.markers.names]
     wanted = scaled.log_density(points, jnp.asarray(evidence.pixels[:, places]), jnp.asarray(evidence.confidence[:, places]))
     assert log_likelihood(model, data, noise=scale) == pytest.approx(float(wanted), abs=1e-3)
 
@@ -239,7 +239,8 @@ def test_the_first_particles_have_the_prior_exactly(model):
         pose = np.asarray(start.states["pose"], float)
         both = np.concatenate([pose[:, pose.std(axis=0) > 0], drawn], axis=1)
         between = np.corrcoef(both.T)[: -drawn.shape[1], -drawn.shape[1] :]
-        np.testing.assert_allclose(between, 0, atol=5e-3)
+        # An angle that its limits cut off is a bent function of its normal number. Independent draws would differ by 0.04.
+        np.testing.assert_allclose(between, 0, atol=2e-2)
 
 
 def test_a_settled_model_has_the_values_of_a_state(model, data):
@@ -273,6 +274,17 @@ def test_a_key_that_matches_nothing_is_named(keypoint_session):
     definition = with_unknowns("keypoints", "lengths", extra="bone_sd = { thig = 0.1 }\n")
     with pytest.raises(InputError, match=r"unknown 'lengths': bone_sd.thig: matches no bone of the body; did you mean 'thigh'"):
         build_model(definition, keypoint_session)
+
+
+def test_a_bone_without_deviation_changes_only_with_the_body(keypoint_session):
+    table = 'bone_sd = { "*" = 0.0, thigh = 0.1 }\n'
+    built = build_model(with_unknowns("keypoints", "lengths", extra=table), keypoint_session)
+    assert term(built, "lengths").space.labels == ("overall", "thigh")
+    lengths = np.asarray(built.body_in({**built.initial, "lengths": jnp.array([0.1, 0.0])}).lengths / built.body.lengths)
+    np.testing.assert_allclose(lengths, np.exp(0.1), rtol=1e-5)
+    longer = with_unknowns("keypoints", "lengths", extra=f"{table}bone_mean = {{ calf = 0.1 }}\n")
+    with pytest.raises(InputError, match=r"unknown 'lengths': bone_mean.calf: 0.1, and calf has the standard deviation 0"):
+        build_model(longer, keypoint_session)
 
 
 FAULTY = {

@@ -1,4 +1,4 @@
-"""A knee flexed by 60 degrees reads +60 in the table, in OpenSim's motion file and in the report, and a mode seeker's angles have no intervals."""
+"""A knee flexed by 60 degrees reads +60 in the table, in OpenSim's motion file and in the report; what no image shows is marked."""
 
 import csv
 
@@ -19,7 +19,7 @@ MODEL = "keypoints"
 HEADER = """Coordinates
 version=1
 nRows=5
-nColumns=25
+nColumns=29
 inDegrees=yes
 
 Units are S.I. units (second, meters, Newtons, ...)
@@ -31,7 +31,7 @@ endheader
 
 @pytest.fixture(scope="module")
 def walk(make_run):
-    """`walk(...)`: a run in which both knees are flexed by 60 degrees on average, the right one with a spread of 4 degrees."""
+    """`walk(...)`: a run in which both knees are flexed by 60 degrees on average, the right one with a spread of 4; nobody sees the left foot."""
 
     def call(**arrays):
         topology = body_of(load_definition(MODEL)).skeleton.topology
@@ -39,6 +39,9 @@ def walk(make_run):
         pose = np.zeros((2, 61, 5, len(names)))
         pose[..., names.index("l_knee")] = -np.radians(60)
         pose[..., names.index("r_knee")] = -np.radians(60 + 4 * np.linspace(-1, 1, 61) * np.sqrt(3))[:, None]
+        # An ankle that is as uncertain as the motion prior leaves it, by 15 degrees, and one that is not.
+        pose[..., names.index("l_ankle_y")] = np.radians(15 * np.linspace(-1, 1, 61) * np.sqrt(3))[:, None]
+        pose[..., names.index("r_ankle_y")] = np.radians(12 + 4 * np.linspace(-1, 1, 61) * np.sqrt(3))[:, None]
         # The person faces the world's x axis, leans forward by 10 degrees and turns round, half a turn in five frames.
         pose[..., names.index("root_pitch")] = np.radians(10)
         pose[..., names.index("root_yaw")] = np.radians([150, 170, 190, 210, 230])
@@ -63,7 +66,8 @@ def test_a_knee_at_60_degrees(walk, tmp_path, parse):
     assert float(row["knee_flexion_l_mean_deg"]) == pytest.approx(60, abs=1e-3) and float(row["knee_flexion_l_sd_deg"]) < 1e-3
     assert float(row["pelvic_tilt_mean_deg"]) == pytest.approx(10, abs=1e-3)
     # What this body holds fixed is no estimate.
-    assert "knee_adduction_r_mean_deg" not in row and "ankle_dorsiflexion_r_mean_deg" not in row
+    assert "knee_adduction_r_mean_deg" not in row and "lumbar_bending_mean_deg" not in row
+    assert float(row["ankle_dorsiflexion_r_mean_deg"]) == pytest.approx(12, abs=0.1)
     with np.load(tmp_path / "walk.npz") as arrays:
         place = arrays["clinical_names"].tolist().index("knee_flexion_l")
         assert arrays["clinical_q95_deg"][:, place] == pytest.approx(60, abs=1e-3)
@@ -78,6 +82,10 @@ def test_a_knee_at_60_degrees(walk, tmp_path, parse):
     assert means["pelvis_rotation"] == pytest.approx(np.array([60, 80, 100, 120, 140]), abs=6)
 
     knees = [image["alt"] for image in found.of("img") if image["alt"].startswith("Knee flexion over time")]
+    ankles = [image["alt"] for image in found.of("img") if image["alt"].startswith("Ankle dorsiflexion over time")]
+    assert ankles[0].count("not determined") == 1 and ankles[0].endswith("not determined.") and "left mean from" in ankles[0]
+    assert "no measurement: ankle_dorsiflexion_l." in found.text
+    assert means["ankle_angle_r"] == pytest.approx(12, abs=0.1) and set(means) >= {"subtalar_angle_r", "subtalar_angle_l", "lumbar_extension"}
     assert knees == ["Knee flexion over time: right mean from 60 to 60 °, widest 90 % band 12.5 °; left mean from 60 to 60 °, widest 90 % band 0 °."]
 
 
