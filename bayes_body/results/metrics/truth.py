@@ -129,6 +129,13 @@ def draws_against_truth(session: Session, draws: Draws, watch: Watch = unwatched
     return against_truth(draws.model, lambda: (_cloud(draws, index) for index in watch(frames)), truth[: len(frames)], angles)
 
 
+class Common(NamedTuple):
+    """The markers that body and truth share: their names, and their places among the body's. Unknowns change all markers of a body at once."""
+
+    names: tuple[str, ...]
+    places: tuple[int, ...]
+
+
 def _cloud(draws: Draws, index: int) -> Cloud:
     frame = draws.frames[index]
     variable, *body_terms = draws.model.placing
@@ -149,7 +156,7 @@ def against_truth(model: Model, clouds: Clouds, truth: Float[np.ndarray, "frame 
     if not places:
         return None
     names = tuple(body.names[place] for place in places)
-    common = Markers(names, tuple(body.joints[place] for place in places), body.offsets[jnp.array(places)])
+    common = Common(names, tuple(places))
     true = truth[:, [MARKERS.index(name) for name in names]]
     folds = _folds(true)
     plain = _accuracy(model, common, clouds, true, np.zeros((1, len(names), 3)), np.zeros_like(folds), scored=True)
@@ -168,7 +175,7 @@ def _folds(truth: Float[np.ndarray, "frame marker 3"]) -> Int[np.ndarray, " fram
 
 def _accuracy(
     model: Model,
-    common: Markers,
+    common: Common,
     clouds: Clouds,
     truth: Float[np.ndarray, "frame marker 3"],
     offsets: Float[np.ndarray, "fold marker 3"],
@@ -177,13 +184,13 @@ def _accuracy(
 ) -> Accuracy:
     """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
     by_frame, inside, scores, rng = [], np.zeros((), int), [], np.random.default_rng(REFERENCES)
-    moved = [replace(model, body=replace(model.body, markers=_moved(common, offset))) for offset in offsets]
+    moved = [replace(model, body=replace(model.body, markers=_moved(model.body.markers, common, offset))) for offset in offsets]
     fold_truth = np.where(np.isfinite(offsets[folds]), truth, np.nan)
     for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
         noise = rng.standard_normal(true.shape) if scored else None
         changes = [{name: values[run] for name, values in cloud.changes.items()} for run in range(len(cloud.poses))]
         particles = zip(cloud.poses, cloud.log_weights, changes, strict=True)
-        runs = [_of_run(moved[fold], *run_particles, true, noise) for run_particles in particles]
+        runs = [_of_run(moved[fold], common, *run_particles, true, noise) for run_particles in particles]
         inside = inside + np.sum([run.accuracy.inside for run in runs], axis=(0, -1))
         by_frame.append(_stacked(runs))
         scores.append([run.scores for run in runs])
@@ -193,8 +200,9 @@ def _accuracy(
     return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual, stacked)
 
 
-def _moved(common: Markers, offset: Float[np.ndarray, "marker 3"]) -> Markers:
-    return replace(common, offsets=common.offsets + jnp.asarray(np.nan_to_num(offset), common.offsets.dtype))
+def _moved(markers: Markers, common: Common, offset: Float[np.ndarray, "marker 3"]) -> Markers:
+    step = jnp.asarray(np.nan_to_num(offset), markers.offsets.dtype)
+    return replace(markers, offsets=markers.offsets.at[jnp.array(common.places)].add(step))
 
 
 class _Run(NamedTuple):
@@ -207,17 +215,18 @@ class _Run(NamedTuple):
 
 def _of_run(
     model: Model,
+    common: Common,
     poses: Float[np.ndarray, "particle *shape"],
     log_weights: Float[np.ndarray, " particle"],
     changes: Mapping[str, Float[np.ndarray, "particle entry"]],
     truth: Float[np.ndarray, "marker 3"],
     noise: Float[np.ndarray, "marker 3"] | None,
 ) -> _Run:
-    weights = weights_of(log_weights)
-    positions, marker_set = markers(model, poses, **changes), model.body.markers
+    weights, places = weights_of(log_weights), list(common.places)
+    positions = markers(model, poses, **changes)[:, places]
     mean = configuration_space(model.body).mean(weights, poses)
-    turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)
-    accuracy = frame_accuracy(positions, weights, truth, marker_set.names)
+    turned = np.asarray(_orientations(model.body, jnp.asarray(mean, model.body.lengths.dtype)), float)[places]
+    accuracy = frame_accuracy(positions, weights, truth, common.names)
     scores = None if noise is None else frame_scores(positions, weights, truth, noise)
     return _Run(accuracy, np.einsum("mki,mk->mi", turned, accuracy.off), scores)
 
