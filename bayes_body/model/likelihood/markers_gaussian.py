@@ -18,7 +18,9 @@ are then unlikely but not impossible, and the density is still normalised.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -28,7 +30,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from pydantic import Field
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.geometry import rigid, transforms
 from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.registry import register
@@ -48,7 +50,7 @@ BEHIND = 2.0
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["noise", "outliers", "by_confidence"],
-    data_fields=["rig", "sd_px", "degrees_of_freedom", "least_confidence"],
+    data_fields=["rig", "sd_px", "degrees_of_freedom", "least_confidence", "factors"],
 )
 @dataclass(frozen=True)
 class Detections:
@@ -62,6 +64,7 @@ class Detections:
         sd_px: standard deviation in each camera; the scale for Student's t.
         degrees_of_freedom: of Student's t.
         least_confidence: a marker with at most this confidence counts as not present.
+        factors: factor of the standard deviation of each point; None for 1.
     """
 
     noise: Literal["gaussian", "student"]
@@ -71,6 +74,7 @@ class Detections:
     sd_px: Float[Array, " camera"]
     degrees_of_freedom: Scalar
     least_confidence: Scalar
+    factors: Float[Array, " point"] | None = None
 
     def log_density(
         self, points: Float[Array, "point 3"], pixels: Float[Array, "camera point 2"], confidence: Float[Array, "camera point"]
@@ -118,7 +122,8 @@ class Detections:
         return jnp.logaddexp(math.log1p(-self.outliers) + inlier, anywhere)
 
     def _sd(self, confidence: Float[Array, "camera point"]) -> Float[Array, "camera point"]:
-        return self.sd_px[:, None] / confidence**self.by_confidence
+        sd = self.sd_px[:, None] / confidence**self.by_confidence
+        return sd if self.factors is None else self.factors * sd
 
     def _inside(self, pixels: Float[Array, "camera point 2"]) -> Bool[Array, "camera point"]:
         # The first pixel's centre is (0, 0), so an image begins half a pixel before it.
@@ -157,6 +162,8 @@ class Options(Schema):
 
     sd_px: Positive = 8.0
     """[pixels] standard deviation of each coordinate, or the scale of Student's t distribution."""
+    sd_factors: Mapping[str, Positive] = {}
+    """table: a marker's name or a pattern = factor of `sd_px`; 1 for the others."""
     at_diagonal_px: NonNegative = 0.0
     """[pixels] image diagonal to which `sd_px` applies; in other images it is scaled in proportion. With 0, `sd_px` applies to every image."""
     noise: Literal["gaussian", "student"] = "gaussian"
@@ -230,8 +237,12 @@ class MarkersGaussian:
         chosen = np.stack([np.concatenate([indices, np.repeat(indices[:1], most - len(indices))]) for indices in lists])
         counted = np.stack([np.arange(most) < len(indices) for indices in lists])
         offsets = _offsets(placement, self.body.markers.offsets, joints[chosen].astype(np.int32), markers[chosen].astype(np.int32))
+        detections = self.detections
+        if detections.factors is not None:
+            everywhere = jnp.ones(len(KEYPOINTS), detections.sd_px.dtype)
+            detections = replace(detections, factors=everywhere.at[jnp.array(self.places)].set(detections.factors))
         parameters = PartMarkers(offsets, jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
-        return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, self.detections), parameters)
+        return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, detections), parameters)
 
 
 def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "camera present entry"]:
@@ -263,6 +274,8 @@ def _offsets(
 
 def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
     """The log-potential of one part, placed at `frame`."""
+    if detections.factors is not None:
+        detections = replace(detections, factors=detections.factors[markers.places])
     points = jnp.asarray(rigid.apply(frame[None], markers.offsets))
     pixels, confidence = (jnp.asarray(array)[:, markers.places] for array in data)
     return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
@@ -289,7 +302,7 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     """Build the factor for one rig and body.
 
     Raises:
-        InputError: the body has none of the markers.
+        InputError: the body has none of the markers, or a key of a table matches none.
     """
     shared_markers = [(number, KEYPOINTS.index(marker)) for number, marker in enumerate(body.markers.names) if marker in KEYPOINTS]
     if not shared_markers:
@@ -306,9 +319,20 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
         sd_px=jnp.asarray(sd_px, dtype),
         degrees_of_freedom=jnp.asarray(options.degrees_of_freedom, dtype),
         least_confidence=jnp.asarray(options.least_confidence, dtype),
+        factors=_factors(name, options, tuple(body.markers.names[number] for number, _ in shared_markers), dtype),
     )
     potential = MarkersGaussian(tuple(number for number, _ in shared_markers), tuple(place for _, place in shared_markers), body, detections)
     drawn = jax.tree_util.Partial(simulate, potential, jnp.asarray(options.missing, dtype))
     if body.variable == PARTS:
         return plate_factor(name, "likelihood", potential.by_parts(), simulate=drawn)
     return Factor(name=name, side="likelihood", scope=(Variable(body.variable),), log_potential=potential.log_potential, simulate=drawn)
+
+
+def _factors(name: str, options: Options, markers: tuple[str, ...], dtype: Any) -> Float[Array, " point"] | None:
+    """Return the factor of each marker's standard deviation, that of the first pattern that matches; None if no marker has one."""
+    table = options.sd_factors
+    for pattern in table:
+        if not any(fnmatchcase(marker, pattern) for marker in markers):
+            raise InputError(f"{name}: sd_factors.{pattern}: matches no marker of the body; {nearest(pattern, markers)}")
+    factors = [next((factor for pattern, factor in table.items() if fnmatchcase(marker, pattern)), 1.0) for marker in markers]
+    return jnp.asarray(factors, dtype) if table else None

@@ -281,6 +281,18 @@ def test_heels_and_toes_move_the_ankles(feet):
         assert value_and_slope(f, scene.pose + step, exact)[1][place] < 0 < value_and_slope(f, scene.pose - step, exact)[1][place]
 
 
+def test_markers_may_have_another_deviation(feet):
+    """With twice the deviation, a marker alone has the density of the likelihood whose deviation is twice as large."""
+    scene, _, seen = feet
+    toes = np.array(["toe" in name for name in KEYPOINTS])
+    only = {name: seen._replace(confidence=jnp.where(chosen, seen.confidence, 0.0)) for name, chosen in (("toes", toes), ("others", ~toes))}
+    plain, wide, mixed = (factor(scene, sd_px=sd, **more) for sd, more in ((6.0, {}), (12.0, {}), (6.0, {"sd_factors": {"*_toe": 2.0}})))
+    wanted = log_density(wide, scene.pose, only["toes"]) + log_density(plain, scene.pose, only["others"])
+    assert float(log_density(mixed, scene.pose, seen)) == pytest.approx(float(wanted), rel=1e-9)
+    with pytest.raises(InputError, match=r"sd_factors\.toes: matches no marker of the body"):
+        factor(scene, sd_factors={"toes": 2.0})
+
+
 def test_what_is_drawn_of_a_body_with_feet_has_its_heels_and_toes(feet):
     scene, f, seen = feet
     drawn = jax.jit(lambda key, pose: f.simulate(key, {POSE: pose}))(jax.random.key(0), scene.pose)
