@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from bayes_body.base.shapes import Scalar
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Composed, Factor, State, variables
+from bayes_body.density.jacobian import rows_and_jacobians
 
 # Added to the square of half the distance between two eigenvalues, so that its root has a slope.
 TINY = 1e-20
@@ -68,15 +69,8 @@ def _summed(pieces: list[Expansion]) -> Expansion:
 def _of_composed(factors: list[Factor], density: Density, state_of: Callable[[Array], State], x: Array) -> Expansion:
     """Return the expansion of all composed factors. Their inner functions are linearised together, as they share the kinematics."""
     potentials = [potential for factor in factors if isinstance(potential := factor.log_potential, Composed)]
-
-    def rows_at(x: Array) -> list[Array]:
-        values = variables(state_of(x))
-        return [potential.inner({v: values[v] for v in factor.scope}) for factor, potential in zip(factors, potentials, strict=True)]
-
-    rows, push = jax.linearize(rows_at, x)
-    jacobians = jax.vmap(push, out_axes=-1)(jnp.eye(x.shape[0], dtype=x.dtype))
     pieces = []
-    for factor, potential, y, jacobian in zip(factors, potentials, rows, jacobians, strict=True):
+    for factor, potential, y, jacobian in zip(factors, potentials, *rows_and_jacobians(factors, state_of, x), strict=True):
         outer = partial(_outer, potential, density.data.get(factor.name))
         value, slope = jax.value_and_grad(outer)(y)
         J, M = jacobian.reshape(-1, *jacobian.shape[-2:]), _row_blocks(outer, y)

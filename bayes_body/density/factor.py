@@ -42,7 +42,19 @@ def variables(state: State, previous: State | None = None) -> dict[Variable, Arr
     return current if previous is None else current | {Variable(name, -1): value for name, value in previous.items()}
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=[], data_fields=["inner", "outer"])
+class Numbered(NamedTuple):
+    """Cameras or markers by number: those of the rows along an axis, or those that the entries of a variable move.
+
+    Attributes:
+        kind: such as `"camera"` or `"marker"`.
+        numbers: the number of the camera or marker at each place.
+    """
+
+    kind: str
+    numbers: tuple[int, ...]
+
+
+@partial(jax.tree_util.register_dataclass, meta_fields=["axes", "local"], data_fields=["inner", "outer"])
 @dataclass(frozen=True)
 class Composed:
     """A log-potential that compares rows of numbers with data: the sum of `outer(inner(variables), data)`.
@@ -53,10 +65,14 @@ class Composed:
     Attributes:
         inner: `variables -> (*row, entry)`, such as the expected pixels of points, (camera, point, 2); a `jax.tree_util.Partial`.
         outer: `((*row, entry), data) -> (*row,)`, the log-potential of each row, which depends on this row alone; a `jax.tree_util.Partial`.
+        axes: what the rows belong to along each of their axes; empty if a row does not belong to one camera or one marker.
+        local: variables of which each entry changes only the rows of one camera or marker, which makes derivatives cheaper; may be empty.
     """
 
     inner: Callable[[Variables], Array]
     outer: Callable[[Array, Any], Array]
+    axes: tuple[Numbered, ...] = ()
+    local: tuple[tuple[Variable, Numbered], ...] = ()
 
     def __call__(self, values: Variables, data: Any) -> Scalar:
         """Return the log-potential of the variables, given a frame's data."""

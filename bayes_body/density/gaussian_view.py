@@ -44,6 +44,9 @@ FLOOR = (1e-4, 1e-10)
 TRANSITIONS = 32
 # Nodes and weights of Gauss-Hermite quadrature, exact for polynomials up to the fifth degree of a standard normal number.
 NODES, NODE_WEIGHTS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0)), (1 / 6, 2 / 3, 1 / 6)
+# With more coordinates than this, such as those of a pose and of unknowns, a product of matrices over many particles is faster than sums that XLA
+# fuses with what surrounds them.
+FUSED = 64
 
 
 class Unread(NamedTuple):
@@ -63,8 +66,8 @@ class Unread(NamedTuple):
 
     def position(self, noise: Float[Array, " dof"], own_noise: Float[Array, " unread"] | None = None) -> dict[str, Array]:
         """Return the position of the unread variables: their mean given the others' whitened coordinates, plus noise of their own."""
-        centre = self.mean + jnp.sum(self.gain * noise, axis=-1)
-        return split(centre if own_noise is None else centre + jnp.sum(self.root * own_noise, axis=-1), self.like)
+        centre = self.mean + product(self.gain, noise)
+        return split(centre if own_noise is None else centre + product(self.root, own_noise), self.like)
 
 
 class GaussianView(NamedTuple):
@@ -105,7 +108,7 @@ class GaussianView(NamedTuple):
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
     def _noise(self, position: State) -> Float[Array, " dof"]:
-        return jnp.sum(self.inverse_root * (joined(position) - self.mean), axis=-1)
+        return product(self.inverse_root, joined(position) - self.mean)
 
     def position(self, state: State) -> dict[str, Array]:
         """Return the position of a state."""
@@ -140,7 +143,7 @@ class GaussianView(NamedTuple):
 
     def draw(self, noise: Float[Array, " dof"]) -> State:
         """Return a draw of the position from the prediction, made from standard normal noise."""
-        return split(self.mean + jnp.sum(self.root * noise, axis=-1), self.position(self.density.ancestor(0)))
+        return split(self.mean + product(self.root, noise), self.position(self.density.ancestor(0)))
 
 
 # What needs a Gaussian prediction, and what to do where there can be none, in the user's words.
@@ -261,6 +264,11 @@ def _roots(covariance: Float[Array, "dof dof"]) -> tuple[Float[Array, "dof dof"]
     """Return a root, and its inverse."""
     root = jnp.linalg.cholesky(covariance)
     return root, jax.scipy.linalg.solve_triangular(root, jnp.eye(root.shape[0], dtype=root.dtype), lower=True)
+
+
+def product(matrix: Float[Array, "row dof"], vector: Float[Array, " dof"]) -> Float[Array, " row"]:
+    """Return the product of a matrix, which all particles share, and one particle's vector."""
+    return jnp.sum(matrix * vector, axis=-1) if matrix.shape[1] <= FUSED else jnp.matmul(matrix, vector, precision="highest")
 
 
 def joined(position: State) -> Float[Array, " dof"]:

@@ -36,7 +36,7 @@ from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Configuration, Key, Scalar
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
-from bayes_body.density.factor import Composed, Factor, Variable, Variables
+from bayes_body.density.factor import Composed, Factor, Numbered, Variable, Variables
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import PARTS, ByParts
@@ -204,7 +204,8 @@ class MarkersGaussian:
     @property
     def log_potential(self) -> Composed:
         """log p(z | configuration), normalised."""
-        return Composed(jax.tree_util.Partial(_expected, self), jax.tree_util.Partial(_log_densities, self))
+        axes = (Numbered("camera", tuple(range(self.detections.rig.focal.shape[0]))), Numbered("marker", self.markers))
+        return Composed(jax.tree_util.Partial(_expected, self), jax.tree_util.Partial(_log_densities, self), axes)
 
     def expected(self, configuration: Configuration) -> Float[Array, "camera present entry"]:
         """Return the expected pixels of the body's markers, and the log of a factor of their noise if there is one."""

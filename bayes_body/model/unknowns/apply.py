@@ -52,7 +52,8 @@ def factor_with(factor: Factor, unknowns: Unknowns) -> Factor:
     scope = tuple(dict.fromkeys([*factor.scope, *(Variable(name) for name in names)]))
     potential = factor.log_potential
     if isinstance(potential, Composed):
-        potential = Composed(jax.tree_util.Partial(_changed, terms, potential.inner), potential.outer)
+        local = tuple((Variable(term.name), term.moves) for term in terms if term.moves)
+        potential = replace(potential, inner=jax.tree_util.Partial(_changed, terms, potential.inner), local=local)
     else:
         potential = jax.tree_util.Partial(_changed_with_data, terms, potential)
     simulate = None if factor.simulate is None else jax.tree_util.Partial(_changed_draw, terms, factor.simulate)
@@ -89,7 +90,8 @@ def settled_factor(factor: Factor, state: State) -> Factor:
     def settled(changed: Any) -> Any:
         return None if changed is None else with_changes(terms, changed.args[1], values)
 
-    settled_potential = Composed(settled(potential.inner), potential.outer) if isinstance(potential, Composed) else settled(potential)
+    composed = isinstance(potential, Composed)
+    settled_potential = replace(potential, inner=settled(potential.inner), local=()) if composed else settled(potential)
     unread = {term.name for term in function.args[0]} | {name for term in function.args[0] for name in term.reads}
     scope = tuple(variable for variable in factor.scope if variable.name not in unread)
     return replace(factor, scope=scope, log_potential=settled_potential, simulate=settled(factor.simulate), curvature=settled(factor.curvature))

@@ -18,7 +18,7 @@ from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Rotation, Vector3
 from bayes_body.base.toml.schema import NonNegative, Positive
-from bayes_body.density.factor import Variables
+from bayes_body.density.factor import Numbered, Variables
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
 
 NAME = "cameras"
@@ -76,4 +76,5 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
         entries += [(name, "px", options.centre_sd_px) for name in ("centre_u", "centre_v")]
     labels = tuple(f"{camera}_{name}" for camera in setting.cameras for name, _, _ in entries)
     units, sd = tuple(unit for _, unit, _ in entries) * len(setting.cameras), [value for _, _, value in entries] * len(setting.cameras)
-    return unknown_about_zero(NAME, labels, units, sd, options.lasts_s, setting, Camera, change)
+    moves = Numbered("camera", tuple(camera for camera in range(len(setting.cameras)) for _ in entries))
+    return unknown_about_zero(NAME, labels, units, sd, options.lasts_s, setting, Camera, change, moves=moves)

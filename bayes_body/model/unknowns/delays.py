@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
-from bayes_body.density.factor import Variable, Variables
+from bayes_body.density.factor import Numbered, Variable, Variables
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
 
@@ -38,7 +38,7 @@ def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Vari
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
     labels = setting.cameras[1:]
-    attributes = {"sides": ("likelihood",), "reads": (VELOCITY,)}
+    attributes = {"sides": ("likelihood",), "reads": (VELOCITY,), "moves": Numbered("camera", tuple(range(1, len(setting.cameras))))}
     return unknown_about_zero(
         NAME, labels, ("s",) * len(labels), [options.sd_s] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **attributes
     )

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
-from bayes_body.density.factor import Variables
+from bayes_body.density.factor import Numbered, Variables
 from bayes_body.model.body.solids import Body
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
 from bayes_body.recording.evidence.markers import KEYPOINTS
@@ -51,7 +51,8 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     sd = deviations(options.sd_m, SD_M, tuple(names[m] for m, _ in places), "unknown 'keypoint_offsets': sd_m", "marker")
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
     index = device_array(np.array(places, np.int32), np.int32)
-    return unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, sides=("likelihood",))
+    attributes = {"sides": ("likelihood",), "moves": Numbered("marker", tuple(m for m, _ in places))}
+    return unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, **attributes)
 
 
 def _bones(body: Body) -> list[int | None]:

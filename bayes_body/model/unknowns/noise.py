@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
-from bayes_body.density.factor import Variables
+from bayes_body.density.factor import Numbered, Variables
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
 
@@ -39,7 +39,7 @@ def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Vari
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
     labels = setting.cameras
-    attributes = {"sides": ("likelihood",), "prepare": prepared}
+    attributes = {"sides": ("likelihood",), "prepare": prepared, "moves": Numbered("camera", tuple(range(len(labels))))}
     return unknown_about_zero(
         NAME, labels, ("",) * len(labels), [options.sd] * len(labels), options.lasts_s, setting, MarkersGaussian, change, **attributes
     )

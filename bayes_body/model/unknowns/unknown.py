@@ -27,7 +27,7 @@ from bayes_body.base.geometry.camera import Camera
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.base.toml.schema import Count, Schema
-from bayes_body.density.factor import Factor, Side, State, Variables
+from bayes_body.density.factor import Factor, Numbered, Side, State, Variables
 from bayes_body.density.spaces import Flat, euclidean
 from bayes_body.kernels.laplace.proposal import balanced_noise
 from bayes_body.model.body.schema import BodySchema
@@ -73,7 +73,7 @@ def unchanged(node: Any) -> Any:
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["name", "space", "node", "sides", "prepare", "reads"],
+    meta_fields=["name", "space", "node", "sides", "prepare", "reads", "moves"],
     data_fields=["mean", "sd", "retention", "change", "mixing"],
 )
 @dataclass(frozen=True)
@@ -93,6 +93,7 @@ class Unknown:
         reads: other variables that `change` needs, such as `velocity`.
         mixing: the labels name `mixing @ value`, quantities that are correlated in the prior while all kernels see independent entries; None if they
             name the entries themselves.
+        moves: the camera or marker of each entry, if an entry changes what is expected of this one alone, which makes frames cheaper; else None.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Unknown:
     prepare: Callable[[Any], Any] = unchanged
     reads: tuple[str, ...] = ()
     mixing: Float[Array, "entry entry"] | None = None
+    moves: Numbered | None = None
 
     def prior(self) -> Distribution:
         """Return the distribution in any frame, if nothing is known."""

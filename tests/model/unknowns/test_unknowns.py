@@ -10,7 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayes_body.base.errors import FaultyFileError, InputError
-from bayes_body.density.factor import Variable
+from bayes_body.density.factor import Composed, Variable
+from bayes_body.density.gaussian_view import joined, split
+from bayes_body.density.jacobian import rows_and_jacobians
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.build import build_model
@@ -251,6 +253,25 @@ def test_a_settled_model_has_the_values_of_a_state(model, data):
     density = settled.density(data)
     assert settled.unknowns == ()
     assert float(density.log_likelihood(pose, pose)) == pytest.approx(log_likelihood(model, data, **changes), abs=1e-2)
+
+
+@pytest.mark.parametrize("left_out", [None, "cameras"])
+def test_the_jacobian_of_entries_that_share_a_push_is_that_of_all_directions(model, left_out):
+    composed = [factor for factor in model.factors if isinstance(factor.log_potential, Composed)]
+    state = {variable.name: value for variable, value in values(model, **{name: draw(model, name) for name in KINDS}).items()}
+    root = np.random.default_rng(6).normal(size=(joined(state).size,) * 2).astype(np.float32) / 30
+
+    def jacobians(is_local):
+        local = [tuple(entry for entry in factor.log_potential.local if is_local(entry[0].name)) for factor in composed]
+        factors = [
+            dataclasses.replace(factor, log_potential=dataclasses.replace(factor.log_potential, local=entries))
+            for factor, entries in zip(composed, local, strict=True)
+        ]
+        whitened = jnp.zeros(len(root))
+        return jax.jit(lambda z: rows_and_jacobians(factors, lambda z: split(joined(state) + root @ z, state), z))(whitened)
+
+    for quick, slow in zip(*map(jax.tree.leaves, (jacobians(lambda name: name != left_out), jacobians(lambda _: False))), strict=True):
+        np.testing.assert_allclose(quick, slow, atol=1e-5 * np.abs(slow).max())
 
 
 REFUSED = {
