@@ -262,11 +262,10 @@ def test_the_jacobian_of_entries_that_share_a_push_is_that_of_all_directions(mod
     root = np.random.default_rng(6).normal(size=(joined(state).size,) * 2).astype(np.float32) / 30
 
     def jacobians(is_local):
-        local = [tuple(entry for entry in factor.log_potential.local if is_local(entry[0].name)) for factor in composed]
-        factors = [
-            dataclasses.replace(factor, log_potential=dataclasses.replace(factor.log_potential, local=entries))
-            for factor, entries in zip(composed, local, strict=True)
-        ]
+        factors = []
+        for factor in composed:
+            local = tuple(entry for entry in factor.log_potential.local if is_local(entry[0].name))
+            factors.append(dataclasses.replace(factor, log_potential=dataclasses.replace(factor.log_potential, local=local)))
         whitened = jnp.zeros(len(root))
         return jax.jit(lambda z: rows_and_jacobians(factors, lambda z: split(joined(state) + root @ z, state), z))(whitened)
 
