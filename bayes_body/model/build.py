@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,12 @@ from bayes_body.model.first import First, first_of
 from bayes_body.model.kernel_options import check_options, few_cameras, kernel_of, kernel_options
 from bayes_body.model.unknown_terms import check_read, unknowns_of
 from bayes_body.model.unknowns.apply import factor_with, settled_factor, transition_with, with_changes
+from bayes_body.model.unknowns.lengths import OVERALL
 from bayes_body.model.unknowns.unknown import SIDES, Setting, Unknown
 from bayes_body.recording.session.session import CameraSpec, Session, Subject
 
+# Beginnings of the names of the tables of a subject that are measures of the body.
+MEASURES = ("lengths_", "radii_", "sections", "outline_radii_", "keypoint_offsets_")
 # Seconds after which the pose of a person who was seen is as uncertain as one that was found in pictures.
 FOUND_S = 0.25
 
@@ -197,15 +200,17 @@ def build_model(name: str | Path | Definition, session: Session) -> Model:
         InputError: the definition or the session's subject cannot be used.
     """
     definition = name if isinstance(name, Definition) else load_definition(name)
-    cameras, shape = _cameras(definition, session), _shape(session.subject, definition)
-    body = body_of(definition, shape)
+    cameras, subject = _cameras(definition, session), _measures(session.subject, definition)
+    body = body_of(definition, Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m))
     rig = stack([_camera(view.camera) for view in session.views])
     factors, observers = _likelihoods(definition, body, rig)
     for index, term in enumerate(definition.constraints):
         name = f"{term.kind}_{index + 1}" if index else term.kind
         factors.append(find("potential", term.kind).build(name=name, options=term.options, body=body))
     names = tuple(view.camera.name for view in session.views)
-    setting = Setting(body, definition.body, rig, names, session.fps, shape.height_m is not None, frozenset(shape.lengths_m))
+    uncertainties = tuple(view.uncertainty for view in session.views)
+    has_height, measured = subject.height_m is not None, frozenset(subject.lengths_m)
+    setting = Setting(body, definition.body, rig, names, session.fps, has_height, measured, subject, uncertainties)
     unknowns = unknowns_of(definition, setting, cameras)
     gaps = (1.0, max(1.0, FOUND_S * session.fps))
     transition, after_found = (transition_with(_transition(definition, body, session, gap), unknowns) for gap in gaps)
@@ -270,22 +275,22 @@ def _check_derived(transition: Transition, initial: State) -> None:
         raise input_error(f"dynamics '{transition.name}'", problem, expected, "leave it out of `derive`, or out of `conditional`")
 
 
-def _shape(subject: Subject, definition: Definition) -> Shape:
-    """Return those of the subject's measurements that apply to this body."""
+def _measures(subject: Subject, definition: Definition) -> Subject:
+    """Return what is said of the subject, as far as it applies to this body."""
     if not definition.takes_measures_of(subject.body):
         # Lengths of another body do not apply here, but a height applies to every body.
-        return Shape(subject.height_m)
+        return Subject(height_m=subject.height_m)
     if subject.body is None or subject.body != definition.body.measured_as:
-        return Shape(subject.height_m, subject.lengths_m, subject.radii_m, subject.sections, subject.outline_radii_m)
+        return subject
     # A smaller body may lack parts of the other body.
-    known = {*definition.body.lengths_of_height, *(part.name for part in definition.body.parts)}
+    schema = definition.body
+    known = {*schema.lengths_of_height, *(part.name for part in schema.parts), *(marker.name for marker in schema.markers), OVERALL}
 
     def restrict[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
         return {name: value for name, value in measures.items() if name in known}
 
-    return Shape(
-        subject.height_m, restrict(subject.lengths_m), restrict(subject.radii_m), restrict(subject.sections), restrict(subject.outline_radii_m)
-    )
+    tables = [table.name for table in fields(subject) if table.name.startswith(MEASURES)]
+    return replace(subject, **{name: restrict(getattr(subject, name)) for name in tables})
 
 
 def _motion_sd(subject: Subject, definition: Definition) -> Mapping[str, float]:

@@ -2,16 +2,20 @@ r"""The cameras as unknowns: each is turned a little about its own centre and th
 
 $$X_c' = e^{[\omega_c]_\times} (R_c X + t_c) + \tau_c, \qquad f_c' = f_c e^{\phi_c}, \qquad c_c' = c_c + \gamma_c.$$
 
+A session may say how well each camera is known (`turn_sd_deg`, `move_sd_m`): this replaces the options below, for that camera.
+
 The priors of all cameras, around their calibration, fix the world: rig and person may still move together by what these priors allow, and no image
 shows it. A focal length is hardly told from a move along the optical axis, so it is known unless the definition says otherwise.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.geometry.camera import Camera
@@ -20,6 +24,7 @@ from bayes_body.base.shapes import Rotation, Vector3
 from bayes_body.base.toml.schema import NonNegative, Positive
 from bayes_body.density.factor import Numbered, Variables
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, unknown_about_zero
+from bayes_body.recording.session.session import CameraUncertainty
 
 NAME = "cameras"
 MOTION = ("turn_x", "turn_y", "turn_z", "move_x", "move_y", "move_z")
@@ -69,12 +74,22 @@ def rotation_of(turn: Vector3) -> Rotation:
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
-    entries = [(name, "rad", math.radians(options.turn_sd_deg)) for name in MOTION[:3]] + [(name, "m", options.move_sd_m) for name in MOTION[3:]]
+    uncertainties = setting.uncertainties or (CameraUncertainty(),) * len(setting.cameras)
+    entries = [
+        (f"{camera}_{name}", unit, sd)
+        for camera, known in zip(setting.cameras, uncertainties, strict=True)
+        for name, unit, sd in _entries(options, known)
+    ]
+    labels, units, sd = zip(*entries, strict=True)
+    moves = Numbered("camera", tuple(np.repeat(np.arange(len(setting.cameras)), len(entries) // len(setting.cameras)).tolist()))
+    return unknown_about_zero(NAME, labels, units, list(sd), options.lasts_s, setting, Camera, change, moves=moves)
+
+
+def _entries(options: Options, known: CameraUncertainty) -> Iterator[tuple[str, str, float]]:
+    """Yield name, unit and standard deviation of each entry of one camera: what the session says, else the options."""
+    turn_sd, move_sd_m = known.turn_sd or (math.radians(options.turn_sd_deg),) * 3, known.move_sd_m or (options.move_sd_m,) * 3
+    yield from zip(MOTION, ("rad",) * 3 + ("m",) * 3, (*turn_sd, *move_sd_m), strict=True)
     if options.focal_sd:
-        entries.append(("focal", "", options.focal_sd))
+        yield "focal", "", known.focal_sd or options.focal_sd
     if options.centre_sd_px:
-        entries += [(name, "px", options.centre_sd_px) for name in ("centre_u", "centre_v")]
-    labels = tuple(f"{camera}_{name}" for camera in setting.cameras for name, _, _ in entries)
-    units, sd = tuple(unit for _, unit, _ in entries) * len(setting.cameras), [value for _, _, value in entries] * len(setting.cameras)
-    moves = Numbered("camera", tuple(camera for camera in range(len(setting.cameras)) for _ in entries))
-    return unknown_about_zero(NAME, labels, units, sd, options.lasts_s, setting, Camera, change, moves=moves)
+        yield from zip(("centre_u", "centre_v"), ("px", "px"), known.centre_sd_px or (options.centre_sd_px,) * 2, strict=True)

@@ -4,6 +4,8 @@ The offset $o_m$ is a vector in the frame of the marker's joint: that of a hip t
 walls stay at the joint's centre. So an offset that is determined moves the joint's centre away from the keypoint, as it should: networks see a hip
 too far outside and above.
 
+A session may give offsets and their standard deviations (`keypoint_offsets_m`, `keypoint_offsets_sd_m`): the offsets vary about these.
+
 For a marker at the end of a bone, such as a wrist, an offset along the bone cannot be told from the bone's length. It is 0.
 """
 
@@ -14,12 +16,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_body.base.errors import InputError, nearest
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Numbered, Variables
 from bayes_body.model.body.solids import Body
-from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, centred, deviations, unknown_about_zero
 from bayes_body.recording.evidence.markers import KEYPOINTS
 
 NAME = "keypoint_offsets"
@@ -51,8 +54,15 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     sd = deviations(options.sd_m, SD_M, tuple(names[m] for m, _ in places), "unknown 'keypoint_offsets': sd_m", "marker")
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
     index = device_array(np.array(places, np.int32), np.int32)
+    mean_m, sd_m = setting.subject.keypoint_offsets_m, setting.subject.keypoint_offsets_sd_m
+    for key in (*mean_m, *sd_m):
+        if key not in names:
+            raise InputError(f"session.toml: subject: keypoint offset of '{key}': no such marker of the body; {nearest(key, names)}")
+    unsaid = (0.0, 0.0, 0.0)
+    sd = [sd_m.get(names[m], unsaid)[axis] or usual for (m, axis), usual in zip(places, sd, strict=True)]
     attributes = {"sides": ("likelihood",), "moves": Numbered("marker", tuple(m for m, _ in places))}
-    return unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, **attributes)
+    offsets = unknown_about_zero(NAME, labels, ("m",) * len(sd), sd, options.lasts_s, setting, Body, change, index, **attributes)
+    return centred(offsets, [mean_m.get(names[m], unsaid)[axis] for m, axis in places])
 
 
 def _bones(body: Body) -> list[int | None]:

@@ -2,8 +2,8 @@ r"""The body's lengths as unknowns: an overall scale and a deviation of each bon
 
 $$\ell_k = \bar\ell_k \exp(x_{\mathrm{overall}} + x_{\mathrm{bone}(k)}),$$
 
-with the mean $\bar\ell_k$ that follows from the session: from its lengths, else from the subject's height, else from the body file. Radii do not
-change: `widths` changes them.
+with the mean $\bar\ell_k$ that follows from the session: from its lengths, else from the subject's height, else from the body file. A session may say
+how well it knows a length (`lengths_sd`), and how much of this all lengths have in common (`overall`). Radii do not change: `widths` changes them.
 
 The overall scale is that of the stature, and a bone's deviation that of its share of the stature. Their standard deviations and the correlations of
 the shares are those of 187 measured people (models/learned/bone_lengths.toml). A long thigh goes with a short torso, -0.45, because the stature is
@@ -17,6 +17,7 @@ $$x_{\mathrm{bones}} = D R^{1/2} D^{-1} z, \qquad z \sim \mathcal N(0, D^2), \qq
 Reports show x, by the names of the bones.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
@@ -25,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Finite, NonNegative, Positive
 from bayes_body.density.factor import Variables
@@ -37,6 +38,8 @@ from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, d
 NAME, OVERALL = "lengths", "overall"
 # Of bones that were not measured.
 OTHER_SD = 0.06
+# The largest share of the smallest standard deviation of a length in a session that all lengths have in common.
+MOST_COMMON = 0.95
 
 
 class Options(UnknownSchema):
@@ -84,16 +87,15 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     # A length on which nothing depends has nothing to say.
     used = np.asarray(growth.groups).T @ (np.asarray(growth.values) != 0) > 0
     chosen = [place for place, sd in enumerate(every_sd) if used[place] and sd > 0]
-    bones, bone_sd = tuple(bones[place] for place in chosen), np.array([every_sd[place] for place in chosen])
+    bones, bone_sd = tuple(bones[place] for place in chosen), [every_sd[place] for place in chosen]
     mean = [0.0 if {bones[k], f"l_{bones[k]}", f"r_{bones[k]}"} & setting.measured else means[place] for k, place in enumerate(chosen)]
     overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
-    mixing = np.eye(1 + len(bones))
+    sd = np.array(_with_session([overall, *bone_sd], bones, setting))
+    mixing = np.eye(len(sd))
     if options.sides == "alike":
-        mixing[1:, 1:] = bone_sd[:, None] * symmetric_root(bone_variation().correlations(bones)) / bone_sd
+        mixing[1:, 1:] = sd[1:, None] * symmetric_root(_correlations(bones, setting)) / sd[1:]
     growth = growth._replace(groups=growth.groups[:, np.array(chosen, int)] @ jnp.asarray(mixing[1:, 1:], growth.groups.dtype))
-    prior = unknown_about_zero(
-        NAME, (OVERALL, *bones), ("",) * len(mixing), [overall, *bone_sd.tolist()], options.lasts_s, setting, Body, change, growth
-    )
+    prior = unknown_about_zero(NAME, (OVERALL, *bones), ("",) * len(sd), sd.tolist(), options.lasts_s, setting, Body, change, growth)
     # The entries at which the bones have their expected deviations.
     centre = np.linalg.solve(mixing, [0.0, *mean])
     return replace(prior, mean=jnp.asarray(centre, prior.mean.dtype), mixing=jnp.asarray(mixing, prior.mean.dtype))
@@ -108,6 +110,35 @@ def _check_means(priors: Mapping[str, tuple[float, float]]) -> None:
                 "raise bone_sd, or give the length in the session or the body file",
             )
             raise input_error(f"unknown 'lengths': bone_mean.{bone}", problem, "a bone that is not known", remedy)
+
+
+def _correlations(bones: tuple[str, ...], setting: Setting) -> Float[np.ndarray, "bone bone"]:
+    """Return the prior's correlations. A bone of which the session says how well it is known is known by itself."""
+    told = np.array([bool(_told(bone, setting)) for bone in bones], bool)
+    correlations = bone_variation().correlations(bones)
+    correlations[told] = correlations[:, told] = 0.0
+    np.fill_diagonal(correlations, 1.0)
+    return correlations
+
+
+def _told(bone: str, setting: Setting) -> list[float]:
+    """Return the standard deviations that the session gives for a bone. Where both sides have one length, it may name one of them."""
+    given = setting.subject.lengths_sd
+    return [given[name] for name in (bone, f"l_{bone}", f"r_{bone}") if name in given]
+
+
+def _with_session(sd: list[float], bones: tuple[str, ...], setting: Setting) -> list[float]:
+    """Return the standard deviations, overall and of each bone, that give the lengths those of the session, where it says them."""
+    given, names = setting.subject.lengths_sd, tuple(setting.schema.lengths_of_height)
+    for key in given:
+        if key != OVERALL and key not in names:
+            raise InputError(f"session.toml: subject.lengths_sd: '{key}': no such length of the body; {nearest(key, (OVERALL, *names))}")
+    if not given:
+        return sd
+    lengths = [_told(bone, setting) for bone in bones]
+    smallest = min((max(values) for values in lengths if values), default=math.inf)
+    overall = min(given.get(OVERALL, sd[0]), MOST_COMMON * smallest)
+    return [overall, *(math.sqrt(max(values) ** 2 - overall**2) if values else usual for values, usual in zip(lengths, sd[1:], strict=True))]
 
 
 def lengths_of(term: Unknown, values: Float[np.ndarray, "*batch entry"]) -> Float[np.ndarray, "*batch length"]:

@@ -12,8 +12,8 @@ An unknown changes nodes of one type in the factors' pytrees, such as every `Bod
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,6 +33,7 @@ from bayes_body.kernels.laplace.proposal import balanced_noise
 from bayes_body.model.body.schema import BodySchema
 from bayes_body.model.body.solids import Body
 from bayes_body.model.dynamics.diffusion import by_dof, key_of
+from bayes_body.recording.session.session import CameraUncertainty, Subject
 
 SIDES: tuple[Side, ...] = ("prior", "likelihood", "constraint")
 
@@ -48,6 +49,8 @@ class Setting(NamedTuple):
         fps: frames per second.
         has_height: whether the session gives the subject's height.
         measured: names of the lengths that the session gives.
+        subject: what the session says of the subject, as far as it is said of this body.
+        uncertainties: what it says of how well each camera is known.
     """
 
     body: Body
@@ -57,6 +60,8 @@ class Setting(NamedTuple):
     fps: float
     has_height: bool
     measured: frozenset[str] = frozenset()
+    subject: Subject = Subject()
+    uncertainties: tuple[CameraUncertainty, ...] = ()
 
 
 class UnknownSchema(Schema):
@@ -205,6 +210,11 @@ def prior_draws(key: Key, unknowns: tuple[Unknown, ...], count: int) -> dict[str
     sizes = [term.sd.shape[0] for term in unknowns]
     pieces = jnp.split(balanced_noise(key, count, sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
     return {term.name: term.mean + term.sd * piece for term, piece in zip(unknowns, pieces, strict=True)}
+
+
+def centred(unknown: Unknown, mean: Sequence[float]) -> Unknown:
+    """Return the unknown with another prior mean."""
+    return replace(unknown, mean=device_array(list(mean), unknown.mean.dtype))
 
 
 def initial_values(unknowns: tuple[Unknown, ...]) -> State:

@@ -4,9 +4,9 @@ A `session.toml` is written with comments for the person who edits it.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tomlkit
@@ -17,16 +17,13 @@ from bayes_body.base.files.atomic import write_text
 from bayes_body.base.files.read import check_native
 from bayes_body.base.toml.read import read_toml, validate
 from bayes_body.recording.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
-from bayes_body.recording.session.session import CameraSpec, Segmentation, Session, Subject, View
-
-if TYPE_CHECKING:
-    from bayes_body.recording.session.session import Segmentation, Session, Subject, View
+from bayes_body.recording.session.session import CameraSpec, CameraUncertainty, Segmentation, Session, Subject, View
 
 # Decimals of converted values (degrees, metres): finer than any measurement, so that reading and writing again changes nothing.
 DECIMALS = 9
 
 
-def document(session: "Session") -> tomlkit.TOMLDocument:
+def document(session: Session) -> tomlkit.TOMLDocument:
     """The file as a tomlkit document: tables in reading order, with comments."""
     text = tomlkit.document()
     text.add(tomlkit.comment("A recording. Metres, pixels, degrees (keys that end in _deg). Relative image paths start at this file's folder."))
@@ -42,6 +39,8 @@ def document(session: "Session") -> tomlkit.TOMLDocument:
         _add(text, "recorded", list(session.recorded), comment)
     if session.truth is not None:
         _add(text, "truth", session.truth, "an .npz with the true `markers` (frame, marker, 3), metres, and their `names`")
+    if session.calibration is not None:
+        _add(text, "calibration", session.calibration, "from which the cameras were imported")
     text.add("subject", _subject_table(session.subject, session.positions))
     text.add("initial", _initial_table(session))
     if session.segmentation != type(session.segmentation)():
@@ -60,13 +59,16 @@ def _add(table: Table | tomlkit.TOMLDocument, key: str, value: Any, comment: str
     table.add(key, item)
 
 
-def _subject_table(subject: "Subject", positions: frozenset[str]) -> Table:
+def _subject_table(subject: Subject, positions: frozenset[str]) -> Table:
     table = tomlkit.table()
     if subject.body is not None:
         _add(table, "body", subject.body, "the names and dofs below belong to this body")
     if subject.height_m is not None:
         _add(table, "height_m", _metres(subject.height_m))
     _add_mapping(table, "lengths_m", "from joint to joint", subject.lengths_m, _metres)
+    _add_mapping(table, "lengths_sd", "relative standard deviation; overall: the share that all have in common", subject.lengths_sd, _rounded)
+    _add_mapping(table, "keypoint_offsets_m", "x, y, z of a keypoint beside its joint, in the joint's frame", subject.keypoint_offsets_m, _triple)
+    _add_mapping(table, "keypoint_offsets_sd_m", "standard deviations; 0: nothing is said", subject.keypoint_offsets_sd_m, _triple)
     _add_mapping(table, "radii_m", "[base, tip] of each part", subject.radii_m, _radii)
     _add_mapping(table, "outline_radii_m", "radii as seen in the images, clothes included", subject.outline_radii_m, _radii)
     _add_mapping(table, "sections", "scale factors of a section's [x, y] radius", subject.sections, list)
@@ -78,7 +80,7 @@ def _radii(radii: tuple[float, float]) -> list[Any]:
     return [_metres(radius) for radius in radii]
 
 
-def _initial_table(session: "Session") -> Table:
+def _initial_table(session: Session) -> Table:
     table = tomlkit.table()
     table.add(tomlkit.comment("What is known about the pose of the first frame."))
     if session.fit_lengths:
@@ -95,7 +97,7 @@ def _initial_table(session: "Session") -> Table:
     return table
 
 
-def _segmentation_table(segmentation: "Segmentation") -> Table:
+def _segmentation_table(segmentation: Segmentation) -> Table:
     table = tomlkit.table()
     table.add(tomlkit.comment("How the person is separated from the background."))
     _add(table, "threshold", float(segmentation.threshold), "squared Mahalanobis distance at which foreground and background are equally likely")
@@ -122,7 +124,7 @@ def _add_mapping(table: Table, key: str, comment: str | None, values: Mapping[st
     table.add(key, inner)
 
 
-def _camera_table(view: "View") -> Table:
+def _camera_table(view: View) -> Table:
     camera, table = view.camera, tomlkit.table()
     _add(table, "name", camera.name)
     _add(table, "size_px", list(camera.size_px), "width, height")
@@ -150,11 +152,35 @@ def _camera_table(view: "View") -> Table:
         _add(table, "keypoints", view.keypoints, "an .npz with the subject's keypoints in each frame")
     if view.offset:
         _add(table, "offset", view.offset, "the session's frame k is this camera's frame k + offset")
+    _add_uncertainty(table, view.uncertainty)
     return table
+
+
+def _add_uncertainty(table: Table, known: CameraUncertainty) -> None:
+    if known.turn_sd is not None:
+        _add(table, "turn_sd_deg", [_degrees(value) for value in known.turn_sd], "standard deviations about the camera's x, y, z")
+    if known.move_sd_m is not None:
+        _add(table, "move_sd_m", _triple(known.move_sd_m), "standard deviations along x, y, z")
+    if known.focal_sd is not None:
+        _add(table, "focal_sd", _rounded(known.focal_sd), "relative")
+    if known.centre_sd_px is not None:
+        _add(table, "centre_sd_px", [_rounded(value) for value in known.centre_sd_px], "column, row")
+    if known.delay_s:
+        _add(table, "delay_s", _rounded(known.delay_s), "seconds by which it is late against the first camera, beside its offset")
+    if known.delay_sd_s is not None:
+        _add(table, "delay_sd_s", _rounded(known.delay_sd_s), "standard deviation of the delay")
 
 
 def _metres(value: float) -> float:
     return round(float(value), DECIMALS)
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), DECIMALS)
+
+
+def _triple(values: Iterable[float]) -> list[float]:
+    return [_metres(value) for value in values]
 
 
 def _degrees(radians: float) -> float:
@@ -202,6 +228,7 @@ def parse_session(tables: Mapping[str, Any], folder: Path, subject: str) -> Sess
         segmentation=Segmentation(**table.segmentation.model_dump()),
         truth=table.truth,
         recorded=table.recorded,
+        calibration=table.calibration,
     )
 
 
@@ -216,12 +243,16 @@ def _view(table: CameraTable) -> View:
         rotation=np.array(table.rotation),
         translation_m=np.array(table.translation_m),
     )
-    return View(camera, table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
+    turn_sd = None if table.turn_sd_deg is None else tuple(math.radians(value) for value in table.turn_sd_deg)
+    known = CameraUncertainty(turn_sd, table.move_sd_m, table.focal_sd, table.centre_sd_px, table.delay_s, table.delay_sd_s)
+    sources = (table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
+    return View(camera, *sources, known)
 
 
 def _subject(table: SubjectTable) -> Subject:
     motion_sd = to_radians(table.motion_sd_deg) | table.motion_sd_m
-    return Subject(table.body, table.height_m, table.lengths_m, table.radii_m, table.sections, motion_sd, table.outline_radii_m)
+    measures = (table.lengths_m, table.radii_m, table.sections, motion_sd, table.outline_radii_m)
+    return Subject(table.body, table.height_m, *measures, table.lengths_sd, table.keypoint_offsets_m, table.keypoint_offsets_sd_m)
 
 
 def save_session(session: Session) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from bayes_body.base.errors import nearest
-from bayes_body.base.toml.schema import Count, Finite, Name, Positive, Schema, Share
+from bayes_body.base.toml.schema import Count, Finite, Name, NonNegative, Positive, ProperShare, Schema, Share
 from bayes_body.recording.session.session import lens_faults
 
 # A larger number is assumed to be in millimetres (or centimetres), not in metres.
@@ -19,6 +19,10 @@ FARTHEST_M = 1000.0
 LONGEST_M = 3.0
 # Largest accepted distance of a rotation from orthonormal. Calibration files have six digits or more.
 ROTATION_TOLERANCE = 1e-4
+# A standard deviation above this is a unit that was mistaken, or nothing known: the model of a small turn does not hold there.
+WIDEST_DEG, LONGEST_S = 20.0, 1.0
+# A keypoint farther beside its joint belongs to another one.
+FARTHEST_OFFSET_M = 0.5
 # Exactly one printf conversion of a whole number (%d, %04d), of at most 99 digits; %% is a literal percent sign.
 PATTERN = re.compile(r"([^%]|%%)*%0?\d{0,2}d([^%]|%%)*")
 # Four hours at 60 frames per second. The files of every frame are looked for before a run.
@@ -75,6 +79,10 @@ Side = Annotated[Count, Field(le=LONGEST_SIDE)]
 Size = Annotated[tuple[Side, Side], AfterValidator(_size)]
 FilePath = Annotated[Name, Field(min_length=1)]
 Far = Annotated[Finite, _metres(FARTHEST_M)]
+Beside = Annotated[Finite, _metres(FARTHEST_OFFSET_M)]
+BesideSd = Annotated[NonNegative, _metres(FARTHEST_OFFSET_M)]
+Turn = Annotated[Positive, Field(le=WIDEST_DEG)]
+Delay = Annotated[Finite, Field(ge=-LONGEST_S, le=LONGEST_S)]
 Length = Annotated[Positive, _metres(LONGEST_M)]
 Pattern = Annotated[Name, AfterValidator(_pattern)]
 type Row = tuple[Finite, Finite, Finite]
@@ -101,6 +109,12 @@ class CameraTable(Schema):
     offset: Annotated[int, Field(strict=True, ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)] = 0
     keypoints: FilePath | None = None
     path: FilePath | None = None
+    turn_sd_deg: tuple[Turn, Turn, Turn] | None = None
+    move_sd_m: tuple[Length, Length, Length] | None = None
+    focal_sd: ProperShare | None = None
+    centre_sd_px: tuple[Positive, Positive] | None = None
+    delay_s: Delay = 0.0
+    delay_sd_s: Annotated[Positive, Field(le=LONGEST_S)] | None = None
 
     @model_validator(mode="after")
     def _check_lens(self) -> "CameraTable":
@@ -121,6 +135,9 @@ class SubjectTable(Schema):
     sections: dict[str, tuple[Positive, Positive]] = {}
     motion_sd_deg: dict[str, Positive] = {}
     motion_sd_m: dict[str, Length] = {}
+    lengths_sd: dict[str, ProperShare] = {}
+    keypoint_offsets_m: dict[str, tuple[Beside, Beside, Beside]] = {}
+    keypoint_offsets_sd_m: dict[str, tuple[BesideSd, BesideSd, BesideSd]] = {}
 
 
 class InitialTable(Schema):
@@ -157,6 +174,7 @@ class SessionFile(Schema):
     segmentation: SegmentationTable = SegmentationTable()
     truth: FilePath | None = None
     recorded: tuple[Annotated[int, Field(strict=True, ge=0, le=LARGEST_NUMBER)], Frames] | None = None
+    calibration: FilePath | None = None
 
     @property
     def positions(self) -> frozenset[str]:
@@ -165,7 +183,7 @@ class SessionFile(Schema):
 
     @model_validator(mode="after")
     def _check_whole(self) -> "SessionFile":
-        sentences = [*self._range(), *self._duplicate_names(), *self._sources(), *self._incomplete_masks(), *self._ambiguous()]
+        sentences = [*self._range(), *self._duplicate_names(), *self._first_delay(), *self._sources(), *self._incomplete_masks(), *self._ambiguous()]
         sentences += self._unknown_cameras()
         if sentences:
             raise ValueError("\n".join(sentences))
@@ -175,6 +193,12 @@ class SessionFile(Schema):
         for name, count in Counter(camera.name for camera in self.cameras).items():
             if count > 1:
                 yield f"camera '{name}': {count} cameras have this name; expected unique names; rename all but one."
+
+    def _first_delay(self) -> Iterator[str]:
+        """Delays count against the first camera."""
+        first = self.cameras[0]
+        if first.delay_s or first.delay_sd_s:
+            yield f"camera '{first.name}'.delay_s: the first camera's clock is the recording's; expected no delay; remove delay_s and delay_sd_s."
 
     def _range(self) -> Iterator[str]:
         """A range of frames lies within the recording."""

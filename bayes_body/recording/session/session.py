@@ -51,6 +51,27 @@ class CameraSpec:
 
 
 @dataclass(frozen=True)
+class CameraUncertainty:
+    """How well a camera is known, where the session says so: standard deviations. None: what a model assumes.
+
+    Attributes:
+        turn_sd: of turns about the camera's axes x, y and z, radians.
+        move_sd_m: of moves along these axes, metres.
+        focal_sd: of the focal length, relative.
+        centre_sd_px: of the principal point (column, row), pixels.
+        delay_s: how late the camera is against the first one, beside its `offset`, seconds.
+        delay_sd_s: of the delay, seconds.
+    """
+
+    turn_sd: tuple[float, float, float] | None = None
+    move_sd_m: tuple[float, float, float] | None = None
+    focal_sd: float | None = None
+    centre_sd_px: tuple[float, float] | None = None
+    delay_s: float = 0.0
+    delay_sd_s: float | None = None
+
+
+@dataclass(frozen=True)
 class View:
     """What one camera recorded: either image files or a video. Relative paths start at the session's folder.
 
@@ -64,6 +85,7 @@ class View:
         keypoints: path of an .npz with the subject's keypoints in each frame; None if there are none.
         path: path of an .npz with a moving camera's extrinsics in each frame (`camera` holds those of frame 0); None if the camera stands still.
         video_fps: the rate that the video's container states, if it is not the session's: a slow-motion video is played at another rate than filmed.
+        uncertainty: how well the calibration and the clock are known.
     """
 
     camera: CameraSpec
@@ -75,6 +97,7 @@ class View:
     keypoints: str | None = None
     path: str | None = None
     video_fps: float | None = None
+    uncertainty: CameraUncertainty = CameraUncertainty()
 
 
 @dataclass(frozen=True)
@@ -110,6 +133,9 @@ class Subject:
         sections: (x, y) scale factors of a part's section.
         motion_sd: standard deviation of the change between successive frames, by dof; radians or metres.
         outline_radii_m: (base, tip) of a part as seen in the images, clothes included. Missing parts use `radii_m`.
+        lengths_sd: relative standard deviation of a length; `overall` is the share that all lengths have in common.
+        keypoint_offsets_m: x, y, z of a keypoint beside its marker, in the frame of the marker's joint.
+        keypoint_offsets_sd_m: standard deviations of these; 0 along an axis of which nothing is said.
     """
 
     body: str | None = None
@@ -119,6 +145,9 @@ class Subject:
     sections: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     motion_sd: Mapping[str, float] = field(default_factory=dict)
     outline_radii_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lengths_sd: Mapping[str, float] = field(default_factory=dict)
+    keypoint_offsets_m: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    keypoint_offsets_sd_m: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -143,6 +172,7 @@ class Session:
         truth: path of an .npz file with true markers, relative to the session's folder.
         positions: names of the dofs in `initial` and `subject.motion_sd` that are positions (metres); all others are angles.
         recorded: number of the first frame of the whole recording, and its number of frames; None if the session has them all.
+        calibration: path of the file or folder from which the cameras were imported, relative to the session's folder; None if there is none.
     """
 
     folder: Path
@@ -162,6 +192,7 @@ class Session:
     segmentation: Segmentation = Segmentation()
     truth: str | None = None
     recorded: tuple[int, int] | None = None
+    calibration: str | None = None
 
     @property
     def skipped(self) -> int:
@@ -212,6 +243,11 @@ class Session:
     def moves(self) -> bool:
         """Whether any camera moves."""
         return any(view.path is not None for view in self.views)
+
+    @property
+    def calibration_path(self) -> Path | None:
+        """The file or folder from which the cameras were imported; None if it is not known."""
+        return None if self.calibration is None else self.folder / self.calibration
 
     @property
     def truth_path(self) -> Path | None:

@@ -24,6 +24,7 @@ class Posterior(NamedTuple):
         sd: the posterior standard deviation, of all runs.
         remaining: share of the prior's standard deviation that is left.
         disagreement: largest difference between the means of two runs, in posterior standard deviations.
+        common: of lengths, the relative standard deviation that all have in common; 0 for other unknowns.
     """
 
     labels: tuple[str, ...]
@@ -34,9 +35,10 @@ class Posterior(NamedTuple):
     sd: Float[np.ndarray, " entry"]
     remaining: Float[np.ndarray, " entry"]
     disagreement: Float[np.ndarray, " entry"]
+    common: float = 0.0
 
 
-LENGTHS = "lengths"
+LENGTHS, LEAST_COMMON = "lengths", 1e-3
 
 
 def posteriors_of(model: Model, frame: FrameResult) -> dict[str, Posterior]:
@@ -51,7 +53,7 @@ def posteriors_of(model: Model, frame: FrameResult) -> dict[str, Posterior]:
     for term in model.unknowns:
         draws, sd = np.asarray(frame.states[term.name], float), np.asarray(term.sd, float)
         mean, labels, units = np.asarray(term.mean, float), term.space.labels, term.space.units
-        posterior = _moments(draws, weights)
+        posterior, common = _moments(draws, weights), 0.0
         if term.name == LENGTHS:
             lengths, logarithms = lengths_of(term, mean), log_sd_of(term)
             used = np.abs(lengths) > 0
@@ -59,11 +61,21 @@ def posteriors_of(model: Model, frame: FrameResult) -> dict[str, Posterior]:
             in_metres = lengths_of(term, draws)[..., used]
             remaining = _moments(np.log(in_metres / lengths[used]), weights)[1] / logarithms[used]
             mean, sd, units = lengths[used], lengths[used] * logarithms[used], ("m",) * len(labels)
-            posterior = _moments(in_metres, weights)
+            posterior, common = _moments(in_metres, weights), _common_sd(draws[..., :1] + draws[..., 1:], weights)
         else:
             remaining = posterior[1] / sd
-        posteriors[term.name] = Posterior(labels, units, mean, sd, posterior[0], posterior[1], remaining, posterior[2])
+        posteriors[term.name] = Posterior(labels, units, mean, sd, posterior[0], posterior[1], remaining, posterior[2], common)
     return posteriors
+
+
+def _common_sd(logarithms: Float[np.ndarray, "run draw bone"], weights: Float[np.ndarray, "run draw"]) -> float:
+    """Return the standard deviation that the logarithms of all bones have in common: the root of their mean covariance."""
+    deviations = logarithms - np.einsum("rd,rdb->rb", weights, logarithms)[:, None]
+    covariance = np.einsum("rd,rdb,rdc->rbc", weights, deviations, deviations).mean(axis=0)
+    pairs = len(covariance) * (len(covariance) - 1)
+    shared = (covariance.sum() - np.trace(covariance)) / pairs if pairs else 0.0
+    # Lengths that go against each other have nothing in common. A standard deviation is positive.
+    return float(np.sqrt(max(shared, LEAST_COMMON**2)))
 
 
 def _moments(

@@ -18,7 +18,7 @@ from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.recording.evidence.markers import KEYPOINTS, MarkerEvidence
-from bayes_body.recording.session.session import Subject
+from bayes_body.recording.session.session import CameraUncertainty, Subject
 from bayes_body.results.posterior.weighted import markers
 
 KINDS = ("lengths", "widths", "cameras", "delays", "keypoint_offsets", "noise")
@@ -219,6 +219,40 @@ def test_widths_scale_radii(model):
     is_thigh = np.array([name.endswith("thigh") for name in model.body.topology.names])
     np.testing.assert_allclose(grown[is_thigh], 1.2, rtol=1e-6)
     np.testing.assert_allclose(grown[~is_thigh], 1.0, rtol=1e-6)
+
+
+def test_the_session_says_how_well_it_knows_what_it_says(keypoint_session):
+    known = CameraUncertainty((0.001, 0.002, 0.003), (0.004, 0.005, 0.006), delay_s=0.007, delay_sd_s=0.008)
+    views = (*keypoint_session.views[:-1], dataclasses.replace(keypoint_session.views[-1], uncertainty=known))
+    subject = dataclasses.replace(
+        keypoint_session.subject,
+        lengths_sd={"l_thigh": 0.04, "torso": 0.05, "overall": 0.03},
+        keypoint_offsets_m={"l_hip": (0.01, 0.02, 0.03)},
+        keypoint_offsets_sd_m={"l_hip": (0.004, 0.0, 0.006)},
+    )
+    session = dataclasses.replace(keypoint_session, views=views, subject=subject)
+    usual, model = (build_model(with_unknowns("keypoints", *KINDS), each) for each in (keypoint_session, session))
+    size = len(term(model, "cameras").sd) // len(views)
+    np.testing.assert_allclose(term(model, "cameras").sd[-size:], [*known.turn_sd, *known.move_sd_m], rtol=1e-6)
+    np.testing.assert_array_equal(term(model, "cameras").sd[:-size], term(usual, "cameras").sd[:-size])
+    assert (float(term(model, "delays").mean[-1]), float(term(model, "delays").sd[-1])) == pytest.approx((0.007, 0.008))
+    lengths = dict(zip(term(model, "lengths").space.labels, np.asarray(term(model, "lengths").sd, float), strict=True))
+    assert lengths["overall"] == pytest.approx(0.03)
+    assert np.hypot(lengths["overall"], lengths["thigh"]) == pytest.approx(0.04)
+    assert lengths["calf"] == pytest.approx(float(term(usual, "lengths").sd[term(usual, "lengths").space.labels.index("calf")]))
+    offsets, before = term(model, "keypoint_offsets"), term(usual, "keypoint_offsets")
+    first = offsets.space.labels.index("l_hip_x")
+    np.testing.assert_allclose(offsets.mean[first : first + 3], [0.01, 0.02, 0.03], rtol=1e-6)
+    np.testing.assert_allclose(offsets.sd[first : first + 3], [0.004, before.sd[first + 1], 0.006], rtol=1e-6)
+    assert not np.delete(np.asarray(offsets.mean), range(first, first + 3)).any()
+    for key, table in {"lengths_sd": {"l_thigg": 0.04}, "keypoint_offsets_m": {"l_hipp": (0.0, 0.0, 0.0)}}.items():
+        wrong = dataclasses.replace(session, subject=dataclasses.replace(subject, **{key: table}))
+        with pytest.raises(InputError, match="no such .*did you mean"):
+            build_model(with_unknowns("keypoints", *KINDS), wrong)
+    # A definition without unknowns takes the session's word.
+    np.testing.assert_array_equal(
+        expected(build_model(with_unknowns("keypoints"), session)), expected(build_model(with_unknowns("keypoints"), keypoint_session))
+    )
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.session.read import load_session, save_session
-from bayes_body.recording.session.session import CameraSpec, Segmentation, Session, Subject, View
+from bayes_body.recording.session.session import CameraSpec, CameraUncertainty, Segmentation, Session, Subject, View
 
 SOUND = """\
 title = "one man"
@@ -115,6 +115,27 @@ def test_first_keypoints_belong_to_a_camera(path):
     assert sentence == "initial.keypoints_px.lefd: no camera of that name; did you mean 'left'?"
 
 
+def test_uncertainties_are_small_and_a_delay_is_not_of_the_first_camera(path):
+    line = "height_m = 1.8"
+    for faulty, said in {
+        "lengths_sd = { thigh = 14 }": "subject.lengths_sd.thigh = 14",
+        "keypoint_offsets_m = { hip = [20.0, 0.0, 0.0] }": "it looks like millimetres",
+        "keypoint_offsets_sd_m = { hip = [-0.1, 0.0, 0.0] }": "subject.keypoint_offsets_sd_m.hip",
+    }.items():
+        (sentence,) = refused(path, line, f"{line}\n{faulty}")
+        assert said in sentence
+    line = 'images = "left/%04d.png"'
+    for faulty, said in {
+        "turn_sd_deg = [0.1, 0.1, 90.0]": "camera 'left'.turn_sd_deg",
+        "move_sd_m = [0.01, 0.01, 15.0]": "it looks like millimetres",
+        "focal_sd = 10.0": "camera 'left'.focal_sd = 10",
+        "delay_s = 20.0": "camera 'left'.delay_s = 20",
+        "delay_sd_s = 0.01": "camera 'left'.delay_s: the first camera's clock is the recording's; expected no delay",
+    }.items():
+        (sentence,) = refused(path, line, f"{line}\n{faulty}")
+        assert said in sentence
+
+
 def test_sessions_differ_by_any_number(path):
     session = load_session(path)
     turned = replace(session.views[0].camera, rotation=np.eye(3))
@@ -133,7 +154,11 @@ def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
         "b", length, {"a b": length}, {"p": (length, 0.5)}, {"p": (sd, length)}, {"hip": 1e-6 + sd, "x": 1e-6 + sd}, {"p": (0.5, length)}
     )
     folder = tmp_path_factory.mktemp("session")
-    view = View(camera, "%03d.png", "m%03d.png", background="empty.mp4", offset=2)
+    subject = replace(
+        subject, lengths_sd={"a b": 0.25}, keypoint_offsets_m={"hip": (0.01, x / 50, 0.0)}, keypoint_offsets_sd_m={"hip": (sd / 9, 0.0, 0.0)}
+    )
+    known = CameraUncertainty((0.01, sd / 9, 0.02), (sd, 0.01, length), 0.125, (1.5, sd))
+    view = View(camera, "%03d.png", "m%03d.png", background="empty.mp4", offset=2, uncertainty=known)
     first = {
         "initial_markers": {"head": (hip, x, 1.5)},
         "initial_keypoints": {"c": {"l knee": (x, hip, 0.5)}},
@@ -142,10 +167,29 @@ def test_save_and_load_is_the_same(tmp_path_factory, hip, x, length, sd, title):
     }
     segmentation = Segmentation(sd + 1, 7, sd > 0.5, hip > 0)
     session = Session(
-        folder, title, "z", 29.97, 5, 0, (view,), subject, {"hip": hip, "x": x}, frozenset({"x"}), **first, segmentation=segmentation, truth="t.npz"
+        folder,
+        title,
+        "z",
+        29.97,
+        5,
+        0,
+        (view,),
+        subject,
+        {"hip": hip, "x": x},
+        frozenset({"x"}),
+        **first,
+        segmentation=segmentation,
+        truth="t.npz",
+        calibration="calibration.toml",
     )
     once = load_session(save_session(session))
     assert once.initial == pytest.approx(session.initial, abs=1e-9)
+    assert once.calibration_path == folder / "calibration.toml"
+    for key, value in vars(known).items():
+        assert getattr(once.views[0].uncertainty, key) == (value and pytest.approx(value, abs=1e-9))
+    assert once.subject.lengths_sd == subject.lengths_sd
+    assert once.subject.keypoint_offsets_m["hip"] == pytest.approx(subject.keypoint_offsets_m["hip"], abs=1e-9)
+    assert once.subject.keypoint_offsets_sd_m["hip"] == pytest.approx(subject.keypoint_offsets_sd_m["hip"], abs=1e-9)
     assert once.subject.motion_sd == pytest.approx(subject.motion_sd, abs=1e-9)
     assert (once.title, once.views[0].camera.distortion) == (title, camera.distortion)
     np.testing.assert_allclose(once.views[0].camera.translation_m, camera.translation_m, atol=1e-9)
@@ -176,7 +220,7 @@ def test_syntax_error_names_line_and_column(path):
 
 def test_unknown_keys_name_the_nearest(path):
     assert refused(path, "fps =", "fsp =") == ["fps: missing; expected a number; add it.", "fsp: unknown key; did you mean 'fps'?"]
-    assert refused(path, "focal_px", "focal")[-1] == "camera 'left'.focal: unknown key; did you mean 'focal_px'?"
+    assert refused(path, "focal_px", "focal_pix")[-1] == "camera 'left'.focal_pix: unknown key; did you mean 'focal_px'?"
     assert refused(path, "height_m", "heigth_m") == ["subject.heigth_m: unknown key; did you mean 'height_m'?"]
     assert refused(path, "[[camera]]", "[[kamera]]")[-1] == "kamera: unknown key; did you mean 'camera'?"
 
