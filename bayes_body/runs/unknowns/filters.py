@@ -1,7 +1,11 @@
-"""Filters over the frames of a fit, and how far the body's joints are from the keypoints."""
+"""Filters over the frames of a fit, and how far the keypoints are from where a model expects them.
+
+All filters have one compiled program. It is compiled while the first pose is fitted. A filter that takes the session's word has the same unknowns
+with standard deviations that are almost 0.
+"""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +14,97 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_body.base.geometry.camera import Camera, project
 from bayes_body.base.shapes import Key
-from bayes_body.density.kernel import Kernel
-from bayes_body.initial import Show, apply_first_pose, first_pose, with_first_keypoints
+from bayes_body.density.factor import variables
+from bayes_body.density.kernel import NamedKernel
+from bayes_body.density.spaces import euclidean
+from bayes_body.initial import FirstPose, Show, apply_first_pose, first_pose, with_first_keypoints
+from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
+from bayes_body.model.unknowns.apply import with_changes
+from bayes_body.model.unknowns.delays import VELOCITY
+from bayes_body.model.unknowns.unknown import Unknown
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.session.session import Session
 from bayes_body.results.posterior import markers, mean_pose
+from bayes_body.results.posterior.thinning import weighted_mean
+from bayes_body.runs.unknowns.definition import DELAYS, kernel_of
 from bayes_body.runs.unknowns.frames import Stretch, keypoints_of
 from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.observations import observations
+from bayes_body.tracking.program import Ahead, compiled_ahead
 from bayes_body.tracking.track import track
+
+# Share of the unknowns' standard deviations that is left where the session's word is taken.
+HELD = 0.02
+
+
+@dataclass(frozen=True)
+class Filter:
+    """What filters the frames of a stretch, in several runs.
+
+    Attributes:
+        definition: the model with unknowns.
+        stretch: the frames.
+        runs: number of independent filters.
+        kernel: the kernel of all filters. A program belongs to it.
+        ahead: the program.
+        estimate: the first pose.
+    """
+
+    definition: Definition
+    stretch: Stretch
+    runs: int
+    kernel: NamedKernel
+    ahead: Ahead
+    estimate: FirstPose
+
+    def model(self, part: Session) -> Model:
+        """Return the model at the rate of the stretch's frames, from the first pose on. `part` is from `stretch_of`."""
+        slow = _slow(part, self.stretch)
+        return apply_first_pose(build_model(self.definition, slow), slow, self.estimate)
+
+    def draws(self, key: Key, part: Session, model: Model, on_frame: Callable[[int], None]) -> Draws:
+        """Filter the frames.
+
+        Args:
+            key: random key.
+            part: from `stretch_of`.
+            model: from `model`, perhaps `held`.
+            on_frame: called after each frame with the number of frames done.
+
+        Raises:
+            InputError: a frame cannot be read.
+        """
+        arriving, frames = observations(part, model, self.stretch.indices), self.stretch.frames
+        return track(
+            key, part, model, self.kernel, None, self.runs, frames, lambda progress: on_frame(progress.frame), ahead=self.ahead, arriving=arriving
+        )
+
+
+def prepare_filter(definition: Definition, part: Session, stretch: Stretch, runs: int, show: Show) -> Filter:
+    """Fit the first pose to the first frame of a stretch, and compile the filters' program meanwhile.
+
+    Args:
+        definition: the model with unknowns.
+        part: from `stretch_of`.
+        stretch: the frames.
+        runs: number of independent filters.
+        show: receives lines about the pose.
+
+    Raises:
+        InputError: the model cannot be built, or no first pose is found.
+    """
+    slow = _slow(part, stretch)
+    model = build_model(definition, slow)
+    slow, kernel = with_first_keypoints(model, slow), kernel_of(model)
+    with compiled_ahead(slow, model, kernel, kernel.options.particles, runs) as ahead:
+        estimate = first_pose(model, slow, show=show)
+    return Filter(definition, stretch, runs, kernel, ahead, estimate)
+
+
+def _slow(part: Session, stretch: Stretch) -> Session:
+    return replace(part, fps=part.fps / stretch.step, fit_lengths=False, fit_outline=False)
 
 
 def stretch_of(session: Session, stretch: Stretch) -> Session:
@@ -28,66 +112,54 @@ def stretch_of(session: Session, stretch: Stretch) -> Session:
     return excerpt(session, session.frame_number(stretch.first), stretch.span)
 
 
-def models(definitions: list[Definition], session: Session, stretch: Stretch, show: Show) -> list[Model]:
-    """Return the models of definitions that share a body, at the rate of a stretch's frames, with one first pose: that of its first frame.
+def held(model: Model) -> Model:
+    """Return the model with its unknowns held at their means."""
+
+    def narrowed(node: object) -> object:
+        return replace(node, sd=HELD * node.sd) if isinstance(node, Unknown) else node
+
+    names = ("transition", "after_found", "factors", "first", "unknowns")
+    parts = [getattr(model, name) for name in names]
+    narrow = jax.tree.map(narrowed, parts, is_leaf=lambda node: isinstance(node, Unknown))
+    return replace(model, **dict(zip(names, narrow, strict=True)))
+
+
+def distances_px(part: Session, draws: Draws, stretch: Stretch) -> list[float]:
+    """Return the median distance of the keypoints in each camera from where the mean poses of the first run put them, pixels.
+
+    Offsets and delays count at their means. A camera without keypoints has NaN.
 
     Args:
-        definitions: the first one is that with which the pose is fitted.
-        session: from `stretch_of`.
-        stretch: the frames.
-        show: receives lines about the fit.
-
-    Raises:
-        InputError: a model cannot be built, or no first pose is found.
-    """
-    slow = replace(session, fps=session.fps / stretch.step, fit_lengths=False, fit_outline=False)
-    built = [build_model(definition, slow) for definition in definitions]
-    slow = with_first_keypoints(built[0], slow)
-    estimate = first_pose(built[0], slow, show=show)
-    return [apply_first_pose(model, slow, estimate) for model in built]
-
-
-def filtered(
-    key: Key, session: Session, model: Model, stretch: Stretch, runs: int, kernel: Kernel | None = None, on_frame: Callable[[int], None] | None = None
-) -> Draws:
-    """Filter the frames of a stretch.
-
-    Args:
-        key: random key.
-        session: from `stretch_of`.
-        model: from `models`.
-        stretch: the frames.
-        runs: number of independent filters.
-        kernel: the model's by default.
-        on_frame: called after each frame with the number of frames done.
-
-    Raises:
-        InputError: a frame cannot be read.
-    """
-    arriving = observations(session, model, stretch.indices)
-    return track(key, session, model, kernel, None, runs, stretch.frames, lambda p: on_frame(p.frame) if on_frame else None, arriving=arriving)
-
-
-def distances_px(session: Session, drawn: Draws, stretch: Stretch) -> list[float]:
-    """Return the median distance of the joints of the mean poses from the keypoints in each camera, pixels; NaN for a camera without keypoints.
-
-    Args:
-        session: from `stretch_of`.
-        drawn: its filter, without unknowns.
+        part: from `stretch_of`.
+        draws: of a `held` model.
         stretch: the frames.
     """
-    model = drawn.model
-    keypoints = keypoints_of(session, model.body.markers.names)[list(stretch.indices)]
-    poses = np.stack([mean_pose(frame, model)[0] for frame in drawn.frames])
-    pixels, in_front = (np.asarray(out) for out in _projected(model.rig, jnp.asarray(markers(model, poses))))
-    distances = np.where(in_front, np.linalg.norm(pixels - keypoints, axis=-1), np.inf)
-    distances = np.where(np.isfinite(keypoints[..., 0]), distances, np.nan)
-    has_keypoints = np.isfinite(keypoints[..., 0]).any(axis=(0, 2))
-    return [float(np.nanmedian(distances[:, camera])) if has_keypoints[camera] else float("nan") for camera in range(len(has_keypoints))]
+    model, means = draws.model, {term.name: term.mean for term in draws.model.unknowns}
+    keypoints = keypoints_of(part, model.body.markers.names)[list(stretch.indices)]
+    poses = np.stack([mean_pose(frame, model)[0] for frame in draws.frames])
+    body = with_changes(tuple(term for term in model.unknowns if term.node is Body), model.body, variables(means))
+    placing, rig = replace(model, body=body, unknowns=()), model.rig_in(means)
+    distances = []
+    for camera, delay_s in enumerate(_delays(model, len(part.views))):
+        seen = poses + delay_s * _velocities(draws, poses.shape[-1]) if delay_s else poses
+        lens = jax.tree.map(lambda leaf, camera=camera: leaf[camera], rig)
+        pixels, in_front = (np.asarray(out) for out in _projected(lens, jnp.asarray(markers(placing, seen))))
+        off = np.where(in_front, np.linalg.norm(pixels - keypoints[:, camera], axis=-1), np.inf)
+        visible = np.isfinite(keypoints[:, camera, :, 0])
+        distances.append(float(np.median(off[visible])) if visible.any() else float("nan"))
+    return distances
+
+
+def _delays(model: Model, cameras: int) -> list[float]:
+    later = next((np.asarray(term.mean, float).tolist() for term in model.unknowns if term.name == DELAYS), [0.0] * (cameras - 1))
+    return [0.0, *later]
+
+
+def _velocities(draws: Draws, size: int) -> Float[np.ndarray, "frame dof"]:
+    space = euclidean(tuple(map(str, range(size))), ("",) * size, "dof")
+    return np.stack([weighted_mean(frame, VELOCITY, space)[0] for frame in draws.frames])
 
 
 @jax.jit
-def _projected(
-    rig: Camera, places: Float[Array, "frame marker 3"]
-) -> tuple[Float[Array, "frame camera marker 2"], Bool[Array, "frame camera marker"]]:
-    return jax.vmap(lambda marker_places: jax.vmap(lambda camera: project(camera, marker_places))(rig))(places)
+def _projected(camera: Camera, places: Float[Array, "frame marker 3"]) -> tuple[Float[Array, "frame marker 2"], Bool[Array, "frame marker"]]:
+    return jax.vmap(lambda marker_places: project(camera, marker_places))(places)

@@ -1,13 +1,13 @@
 """Infer what is not known of a session from its keypoints, and write a session with the result.
 
-Three filters go over the same frames: with the session as it is, which gives the distances from the keypoints before; with unknowns, in two runs,
-whose difference shows how much is chance; and with the new session, as `track` will see it, which gives the distances after.
+Three filters go over the same frames, each in two runs: with the session's word, which gives the distances from the keypoints before; with unknowns,
+where the difference of the runs shows how much is chance; and with the word of the new session, which gives the distances after.
 """
 
 import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
-from bayes_body.runs.unknowns.definition import kernel_of, with_unknowns
-from bayes_body.runs.unknowns.filters import distances_px, filtered, models, stretch_of
+from bayes_body.runs.unknowns.definition import with_unknowns
+from bayes_body.runs.unknowns.filters import distances_px, held, prepare_filter, stretch_of
 from bayes_body.runs.unknowns.fitted_session import fitted_session
 from bayes_body.runs.unknowns.frames import Stretch, best_stretch, check_cameras
 from bayes_body.runs.unknowns.posterior import Posterior, as_json, posteriors_of
@@ -68,24 +68,23 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
             cannot be read or written.
     """
     definition = with_unknowns(load_definition(settings.model), settings.delays)
-    # The same model takes the session's word, before and after.
-    plain = replace(definition, unknowns=())
     check_cameras(session)
-    stretch = best_stretch(session, build_model(plain, session).body.markers.names, settings.frames)
+    stretch = best_stretch(session, build_model(definition, session).body.markers.names, settings.frames)
     with locked(settings.out):
         if (settings.out / FILE_NAME).exists():
             raise input_error(settings.out, f"already holds a {FILE_NAME}", "a folder without one", "name another with --out")
         show(_frames_line(session, stretch))
         key, part = jax.random.key(settings.seed), stretch_of(session, stretch)
         with steps_bar(len(DOING) * stretch.frames, DOING[0]) if bar else nullcontext(None) as step:
-            before_model, model = models([plain, definition], part, stretch, show)
-            before_px = distances_px(part, filtered(key, part, before_model, stretch, 1, on_frame=_counting(step, 0, stretch)), stretch)
-            drawn = filtered(key, part, model, stretch, RUNS, kernel_of(model), _counting(step, 1, stretch))
+            filters = prepare_filter(definition, part, stretch, RUNS, show)
+            model = filters.model(part)
+            before = filters.draws(key, part, held(model), _counting(step, 0, stretch))
+            drawn = filters.draws(key, part, model, _counting(step, 1, stretch))
             posteriors = posteriors_of(model, drawn.frames[-1])
             new = fitted_session(session, settings.out, definition, posteriors)
             new_part = stretch_of(new, stretch)
-            (after_model,) = models([plain], new_part, stretch, _silent)
-            after_px = distances_px(new_part, filtered(key, new_part, after_model, stretch, 1, on_frame=_counting(step, 2, stretch)), stretch)
+            after = filters.draws(key, new_part, held(filters.model(new_part)), _counting(step, 2, stretch))
+        before_px, after_px = distances_px(part, before, stretch), distances_px(new_part, after, stretch)
         remarks, names = remarks_of(posteriors, drawn, session), [view.camera.name for view in session.views]
         _show(posteriors, names, before_px, after_px, remarks, show)
         distances = {name: {"before": b, "after": a} for name, b, a in zip(names, before_px, after_px, strict=True)}
@@ -95,7 +94,7 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
             "seed": settings.seed,
             "frames": [part.frame_number(index) for index in stretch.indices],
             "unknowns": as_json(posteriors),
-            "joints_to_keypoints_px": distances,
+            "keypoints_px": distances,
             "warnings": remarks,
         }
         write_text(settings.out / FIT_FILE, json.dumps(content, indent=2) + "\n")
@@ -130,6 +129,3 @@ def _counting(step: Callable[[int, str], None] | None, filters: int, stretch: St
 
     return count
 
-
-def _silent(line: str) -> None:
-    pass
