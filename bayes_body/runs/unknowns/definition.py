@@ -19,8 +19,12 @@ PLACE = "root_"
 MOST_STEPS = 40
 
 
-def with_unknowns(definition: Definition, delays: bool) -> Definition:
+def with_unknowns(definition: Definition, delay_sd_s: float | None = None) -> Definition:
     """Return the definition with unknowns and a wide first pose. One that has unknowns stays as it is, but for delays that are asked for.
+
+    Args:
+        definition: the model.
+        delay_sd_s: the standard deviation of the cameras' delays, seconds; None: delays are not asked for.
 
     Raises:
         InputError: it does not read keypoints.
@@ -30,17 +34,20 @@ def with_unknowns(definition: Definition, delays: bool) -> Definition:
         reads = " and ".join(evidence_of(definition))
         raise input_error(f"model '{definition.name}'", f"it reads {reads}", "a model that reads keypoints", "leave --model out")
     present = {term.kind for term in definition.unknowns}
-    added = [] if present else list(KINDS)
-    if delays and DELAYS not in present:
-        added.append(DELAYS)
+    added = [] if present else [_table(kind) for kind in KINDS]
+    if delay_sd_s is not None and DELAYS not in present:
+        added.append(_table(DELAYS, f"sd_s = {delay_sd_s}\n"))
     if not added:
         return definition
     document = tomlkit.parse(definition.text)
     if not present:
         document["first"] = _wide_first(document)
-    tables = "".join(f'\n[[unknown]]\nkind = "{kind}"\n' for kind in added)
-    text = f"{tomlkit.dumps(document)}\n{tables}"
+    text = f"{tomlkit.dumps(document)}\n{''.join(added)}"
     return parse_definition(definition.name, text, definition.body_text, f"{definition.name} with unknowns")
+
+
+def _table(kind: str, options: str = "") -> str:
+    return f'\n[[unknown]]\nkind = "{kind}"\n{options}'
 
 
 def _wide_first(document: TOMLDocument) -> dict[str, dict[str, float]]:

@@ -22,6 +22,7 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
+from bayes_body.runs.unknowns.clocks import with_whole_frames
 from bayes_body.runs.unknowns.definition import with_unknowns
 from bayes_body.runs.unknowns.filters import distances_px, held, prepare_filter, stretch_of
 from bayes_body.runs.unknowns.fitted_session import fitted_session
@@ -31,6 +32,7 @@ from bayes_body.runs.unknowns.remarks import farthest_runs, remarks_of
 from bayes_body.runs.unknowns.table import fit_lines
 from bayes_body.view.figures_text import warning_line
 
+HALF = 0.5
 FIT_FILE, MODEL, FRAMES, RUNS = "fit.json", "keypoints", 40, 2
 DOING = ("the session as it is", "lengths, cameras and others unknown", "the new session")
 
@@ -67,8 +69,11 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         InputError: fewer than two cameras have keypoints, a camera moves, the model does not read keypoints, the folder has a session, or a file
             cannot be read or written.
     """
-    definition = with_unknowns(load_definition(settings.model), settings.delays)
+    # What is left of a delay after a shift by whole frames is at most half a frame.
+    definition = with_unknowns(load_definition(settings.model), HALF / session.fps if settings.delays else None)
     check_cameras(session)
+    if settings.delays:
+        session = with_whole_frames(session, show)
     stretch = best_stretch(session, build_model(definition, session).body.markers.names, settings.frames)
     with locked(settings.out):
         if (settings.out / FILE_NAME).exists():
@@ -128,4 +133,3 @@ def _counting(step: Callable[[int, str], None] | None, filters: int, stretch: St
             step(filters * stretch.frames + frames, DOING[min(filters + (frames == stretch.frames), len(DOING) - 1)])
 
     return count
-
