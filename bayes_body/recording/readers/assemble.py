@@ -146,7 +146,8 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     fps, remarks = frame_rate({recording.camera.name: recording.source.fps for recording in filmed}, options.fps)
     views = tuple(_view(recording, folder, timing.offsets[recording.camera.name], fps) for recording in filmed)
     subject = Subject(height_m=options.height_m)
-    recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject)
+    calibration = written(rig.calibration, folder)
+    recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
     session = excerpt(recorded_session, options.first_frame, options.frames)
     remarks = [*(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]

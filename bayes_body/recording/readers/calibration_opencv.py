@@ -5,7 +5,7 @@ EasyMocap's names end in `_CAMERA`. The files do not state the unit of the trans
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers.calibration import Calibrated, calibrated, rotation_given_twice
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import silent
+from bayes_body.recording.session.session import CameraSpec
 
 KIND = "a calibration in OpenCV's yml, xml or json"
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
@@ -63,6 +65,64 @@ def read_opencv(path: Path, unit_m: float) -> list[Calibrated]:
             cameras.append(_single(file, unit_m))
     faults.raise_any()
     return cameras
+
+
+def rewrite_opencv(source: Path, target: Path, cameras: Mapping[str, CameraSpec], unit_m: float) -> None:
+    """Write a copy of a folder that `read_opencv` reads, with other cameras. It has the keys of the files, under the same names.
+
+    Args:
+        source: the folder.
+        target: the folder of the copies; created if needed.
+        cameras: the new cameras, by name. Files of others are copied.
+        unit_m: metres in the files' unit of length.
+
+    Raises:
+        InputError: a file cannot be read, or a copy cannot be written.
+    """
+    make_folder(target)
+    files = sorted(file for file in source.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    is_pair = {INTRINSICS, EXTRINSICS} <= {file.stem for file in files}
+    for path in files:
+        if is_pair and path.stem not in (INTRINSICS, EXTRINSICS):
+            continue
+        chosen = {f"_{name}": camera for name, camera in cameras.items()} if is_pair else {"": cameras[path.stem]} if path.stem in cameras else {}
+        numbers = {key: value for end, camera in chosen.items() for key, value in _numbers_of(camera, end, unit_m).items()}
+        _rewrite(_open(path), target / path.name, numbers)
+
+
+def _numbers_of(camera: CameraSpec, end: str, unit_m: float) -> dict[str, NDArray[np.float64]]:
+    """Return the new value of each key that may hold one of a camera."""
+    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
+    R, T = np.asarray(camera.rotation, float), np.asarray(camera.translation_m, float) / unit_m
+    values = dict.fromkeys(MATRIX, np.array([[fx, camera.skew * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    values |= dict.fromkeys(("Rot", *ROTATION), R) | dict.fromkeys(TRANSLATION, T)
+    return {f"{name}{end}": value for name, value in values.items()}
+
+
+def _rewrite(file: "_File", target: Path, numbers: Mapping[str, NDArray[np.float64]]) -> None:
+    with replacing(target) as partial:
+        storage = cv2.FileStorage(str(partial), cv2.FILE_STORAGE_WRITE)
+        for key in _keys(file):
+            node, entry = file.root.getNode(key), f"{file.path}: {key}"
+            if key in numbers:
+                stored = _numbers(entry, node)
+                # A rotation stands there as a matrix or as a vector.
+                is_vector = numbers[key].shape == (3, 3) and stored.size == 3
+                storage.write(key, (cv2.Rodrigues(numbers[key])[0] if is_vector else numbers[key]).reshape(np.atleast_2d(stored).shape))
+            elif node.isString():
+                storage.write(key, _text(node))
+            elif node.isInt():
+                storage.write(key, int(node.real()))
+            elif node.isReal():
+                storage.write(key, node.real())
+            elif node.isSeq() and node.size() and node.at(0).isString():
+                storage.startWriteStruct(key, cv2.FILE_NODE_SEQ)
+                for index in range(node.size()):
+                    storage.write("", _text(node.at(index)))
+                storage.endWriteStruct()
+            else:
+                storage.write(key, np.atleast_2d(_numbers(entry, node)))
+        storage.release()
 
 
 class _File(NamedTuple):

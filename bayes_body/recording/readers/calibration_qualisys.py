@@ -32,7 +32,7 @@ def read_qualisys(path: Path) -> list[Calibrated]:
         InputError: no file, not XML, or no video camera in it.
         FaultyFileError: one sentence for each fault.
     """
-    elements = [camera for camera in _root(path).iter("camera") if _films(camera)]
+    elements = [camera for camera in read_root(path).iter("camera") if _films(camera)]
     if not elements:
         raise input_error(path, "no video camera in it", KIND, "name the file that the calibration program wrote")
     if len(elements) > MOST_CAMERAS:
@@ -46,7 +46,12 @@ def read_qualisys(path: Path) -> list[Calibrated]:
     return cameras
 
 
-def _root(path: Path) -> ElementTree.Element:
+def read_root(path: Path) -> ElementTree.Element:
+    """Return the root of a calibration's XML.
+
+    Raises:
+        InputError: no file, or not XML.
+    """
     text = read_text(path, KIND)
     # Nested entities can grow without bound, and no calibration has any.
     if "<!doctype" in text.lower() or "<!entity" in text.lower():

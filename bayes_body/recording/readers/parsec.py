@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.assemble import align, saved, source_folder, with_options
+from bayes_body.recording.readers.assemble import align, saved, source_folder, with_options, written
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import read_grey, read_mask
@@ -170,6 +170,7 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
         subject=subject_files.subject,
         initial=subject_files.initial,
         positions=frozenset(POSITIONS),
+        calibration=written(source / "CALIB", folder),
     )
     session = excerpt(recorded_session, options.first_frame, options.frames)
     session, keypoint_remarks = with_imported_keypoints(with_options(session, options), options)

@@ -20,6 +20,7 @@ from bayes_body.base.progress import steps_bar
 from bayes_body.initial import Show
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
+from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
 from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
 from bayes_body.runs.unknowns.clocks import with_whole_frames
@@ -32,7 +33,7 @@ from bayes_body.runs.unknowns.remarks import farthest_runs, remarks_of
 from bayes_body.runs.unknowns.table import fit_lines
 from bayes_body.view.figures_text import warning_line
 
-HALF = 0.5
+CALIBRATION, HALF = "calibration", 0.5
 FIT_FILE, MODEL, FRAMES, RUNS = "fit.json", "keypoints", 40, 2
 DOING = ("the session as it is", "lengths, cameras and others unknown", "the new session")
 
@@ -104,6 +105,11 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         }
         write_text(settings.out / FIT_FILE, json.dumps(content, indent=2) + "\n")
         save_session(new)
+        if (calibration := session.calibration_path) is not None:
+            before_specs, specs = ([view.camera for view in recording.views] for recording in (session, new))
+            show(
+                f"calibration {rewrite_calibration(calibration, settings.out / CALIBRATION, before_specs, specs)}: the new cameras for other programs"
+            )
     return content
 
 

@@ -247,7 +247,7 @@ def test_the_session_says_how_well_it_knows_what_it_says(keypoint_session):
     assert not np.delete(np.asarray(offsets.mean), range(first, first + 3)).any()
     for key, table in {"lengths_sd": {"l_thigg": 0.04}, "keypoint_offsets_m": {"l_hipp": (0.0, 0.0, 0.0)}}.items():
         wrong = dataclasses.replace(session, subject=dataclasses.replace(subject, **{key: table}))
-        with pytest.raises(InputError, match="no such .*did you mean"):
+        with pytest.raises(InputError, match=r"no such .*did you mean"):
             build_model(with_unknowns("keypoints", *KINDS), wrong)
     # A definition without unknowns takes the session's word.
     np.testing.assert_array_equal(

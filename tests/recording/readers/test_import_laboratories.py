@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,11 +11,14 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.pose2sim import import_pose2sim
 from bayes_body.recording.readers.qualisys import import_qualisys
+from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
 from bayes_body.recording.readers.video import read_video_frame
 from bayes_body.recording.session.read import load_session, save_session
 
@@ -340,3 +344,24 @@ def test_real_project(pose2sim_beam, tmp_path):
     assert "read as BODY_25B" in told
     assert "cam01: #1 of 2, cam02: #1 of 2" in told
     assert all({"head", "l_hip", "r_ankle"} <= set(session.initial_keypoints[view.camera.name]) for view in session.views)
+
+
+@pytest.mark.parametrize("kind", IMPORTS)
+def test_new_cameras_are_written_as_they_were_imported(kind, request, tmp_path):
+    importer, options = IMPORTS[kind]
+    session, _ = importer(request.getfixturevalue(kind), tmp_path / "session", options)
+    before = [view.camera for view in session.views]
+    turn = cv2.Rodrigues(np.array([0.02, -0.01, 0.015]))[0]
+    new = [replace(camera, rotation=turn @ camera.rotation, translation_m=turn @ camera.translation_m + 0.03) for camera in before]
+    new[1] = replace(new[1], focal_px=(91.5, 93.25), centre_px=(47.0, 33.5))
+    path = rewrite_calibration(session.calibration_path, tmp_path / "new", before, new)
+    readers = {"opencv": lambda: read_opencv(path, 1e-3), "pose2sim": lambda: read_calibration_toml(path), "qualisys": lambda: read_qualisys(path)}
+    assert path.name == session.calibration_path.name
+    for read, camera in zip(readers[kind](), new, strict=True):
+        assert read.name == camera.name
+        np.testing.assert_allclose(read.rotation, camera.rotation, atol=1e-9)
+        np.testing.assert_allclose(read.translation_m, camera.translation_m, atol=1e-9)
+        np.testing.assert_allclose([*read.focal_px, *read.centre_px, *read.distortion], [*camera.focal_px, *camera.centre_px, *camera.distortion])
+    # What belongs to no camera of the session stays.
+    if kind != "opencv":
+        assert {"pose2sim": "adjusted = false", "qualisys": "Oqus 7"}[kind] in path.read_text(encoding="utf-8")

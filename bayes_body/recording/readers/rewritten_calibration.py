@@ -1,0 +1,118 @@
+"""Write the cameras of a session as a calibration in the format from which they were imported, so that other programs can use them.
+
+A copy of the files is changed only in what belongs to the session's cameras: rotation and translation, and the lens if it differs. OpenCV's files
+keep numbers, matrices, texts and lists, but no comments.
+"""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from bayes_body.base.files.atomic import make_folder, write_text
+from bayes_body.base.files.read import read_text
+from bayes_body.recording.readers import calibration_opencv, calibration_qualisys
+from bayes_body.recording.readers.calibration import Calibrated
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.options import METRES
+from bayes_body.recording.readers.parsec_files import MM, read_calibration
+from bayes_body.recording.session.session import CameraSpec
+
+PARSEC = "Camera*.cal"
+type Cameras = Mapping[str, CameraSpec]
+
+
+def rewrite_calibration(source: Path, folder: Path, before: Sequence[CameraSpec], after: Sequence[CameraSpec]) -> Path:
+    """Write a copy of a calibration with other cameras. Return its path.
+
+    Args:
+        source: the file or folder from which the cameras were imported.
+        folder: where the copy goes, under the same name.
+        before: the session's cameras as they were imported.
+        after: the same cameras now.
+
+    Raises:
+        InputError: the calibration cannot be read, or the copy cannot be written.
+    """
+    target, cameras = make_folder(folder) / source.name, {camera.name: camera for camera in after}
+    changed = {new.name for old, new in zip(before, after, strict=True) if (old.focal_px, old.centre_px) != (new.focal_px, new.centre_px)}
+    if source.is_dir() and list(source.glob(PARSEC)):
+        _parsec(source, target, cameras)
+    elif source.is_dir():
+        calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibration_opencv.read_opencv(source, 1.0), before))
+    elif source.suffix == ".toml":
+        _toml(source, target, cameras, changed, _unit_m(read_calibration_toml(source), before))
+    else:
+        _qualisys(source, target, cameras, changed)
+    return target
+
+
+def _unit_m(calibrated: Sequence[Calibrated], before: Sequence[CameraSpec]) -> float:
+    """Return the unit of the translations of a calibration, metres: the one in which they are nearest to those of the session."""
+    places = {camera.name: camera.translation_m for camera in before}
+    pairs = [(camera.translation_m, places[camera.name]) for camera in calibrated if camera.name in places]
+    return min(METRES.values(), key=lambda unit_m: sum(float(np.linalg.norm(unit_m * there - here)) for there, here in pairs))
+
+
+def _matrix(camera: CameraSpec) -> list[list[float]]:
+    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
+    return [[fx, camera.skew * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+
+
+def _vector(camera: CameraSpec) -> list[float]:
+    return cv2.Rodrigues(np.asarray(camera.rotation, float))[0].ravel().tolist()
+
+
+def _toml(source: Path, target: Path, cameras: Cameras, changed: set[str], unit_m: float) -> None:
+    document = tomlkit.parse(read_text(source, "a calibration"))
+    for key, table in document.items():
+        camera = cameras.get(str(table.get("name", key))) if key != "metadata" and isinstance(table, dict) else None
+        if camera is None:
+            continue
+        table["rotation"], table["translation"] = _vector(camera), (np.asarray(camera.translation_m, float) / unit_m).tolist()
+        if camera.name in changed:
+            table["matrix"] = _matrix(camera)
+    write_text(target, tomlkit.dumps(document))
+
+
+def _qualisys(source: Path, target: Path, cameras: Cameras, changed: set[str]) -> None:
+    root = calibration_qualisys.read_root(source)
+    for element in root.iter("camera"):
+        camera = cameras.get(element.get("serial", ""))
+        outer, inner, recorded = (element.find(tag) for tag in ("transform", "intrinsic", "fov_video"))
+        if camera is None or outer is None or inner is None or recorded is None:
+            continue
+        R = calibration_qualisys.Y_DOWN_Z_FORWARD @ np.asarray(camera.rotation, float)
+        centre = -np.asarray(camera.rotation, float).T @ np.asarray(camera.translation_m, float) / calibration_qualisys.MM
+        numbers = {f"r{row + 1}{column + 1}": R[row, column] for row in range(3) for column in range(3)}
+        _set(outer, numbers | dict(zip("xyz", centre, strict=True)))
+        if camera.name in changed:
+            corner = [float(recorded.get(side, "0")) for side in ("left", "top")]
+            _set(inner, {f"focalLength{axis}": calibration_qualisys.SUBPIXELS * focal for axis, focal in zip("UV", camera.focal_px, strict=True)})
+            centre_px = zip("UV", camera.centre_px, corner, strict=True)
+            _set(inner, {f"centerPoint{axis}": calibration_qualisys.SUBPIXELS * (place + start) for axis, place, start in centre_px})
+    write_text(target, ElementTree.tostring(root, encoding="unicode", xml_declaration=True))
+
+
+def _set(element: ElementTree.Element, numbers: Mapping[str, float]) -> None:
+    for key, value in numbers.items():
+        element.set(key, repr(float(value)))
+
+
+def _parsec(source: Path, target: Path, cameras: Cameras) -> None:
+    make_folder(target)
+    for path in sorted(source.glob(PARSEC)):
+        camera = cameras.get(path.stem.replace("Camera", "CAM"))
+        if camera is None:
+            shutil.copyfile(path, target / path.name)
+            continue
+        # A file that cannot be read is not copied.
+        read_calibration(path)
+        rows: list[Sequence[float] | NDArray[np.float64]] = [camera.focal_px, camera.centre_px, [camera.skew], camera.distortion]
+        rows += [*np.asarray(camera.rotation, float), np.asarray(camera.translation_m, float) / MM, _vector(camera)]
+        write_text(target / path.name, "".join(f"{' '.join(repr(float(value)) for value in row)}\n" for row in rows))
