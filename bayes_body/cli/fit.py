@@ -26,7 +26,7 @@ def fit(
     seed: int = typer.Option(0, "--seed", help="Seed of everything random."),
     plugin: Plugins = None,
 ) -> None:
-    """Infer body lengths, cameras and keypoint offsets from keypoints; writes a new session with lengths and cameras, and fit.json."""
+    """Infer body lengths, cameras and keypoint offsets from keypoints; writes a new session with them and their uncertainty, fit.json and fit.png."""
     from bayes_body.base.config import configure
 
     configure()
@@ -42,4 +42,4 @@ def fit(
         if model is not None:
             checked_definition(model)
         fit_session(recording, FitSettings(folder, model or MODEL, frames or FRAMES, delays, seed), show=lambda line: say(line), bar=True)
-    say(f"{folder}: session.toml, fit.json")
+    say(f"{folder}: session.toml, fit.json, fit.png")

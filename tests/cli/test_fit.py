@@ -4,14 +4,18 @@ import dataclasses
 import json
 from pathlib import Path
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from keypoint_walks import Network, person_of, seen_by, walk_session
+from scipy.spatial.transform import Rotation
 
 from bayes_body.base.geometry.camera import project
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
+from bayes_body.model.unknowns.lengths import log_sd_of
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
 from bayes_body.recording.readers.rig import read_rig
@@ -19,6 +23,9 @@ from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Session, Subject, View
 from bayes_body.runs.unknowns.definition import with_unknowns
 from bayes_body.runs.unknowns.fitted_session import moved_spec
+from bayes_body.workshop.learning.walking_cycle import load_cycle
+from bayes_body.workshop.learning.walking_cycle import walk as walking
+from bayes_body.workshop.simulation.staging import centred, stacked
 
 RIG = Path(__file__).parents[2] / "models" / "rigs" / "room_4.toml"
 FRAMES, NOISE_PX, HEIGHT_M, TALLER_M = 20, 2.0, 1.75, 1.80
@@ -91,10 +98,21 @@ def test_cameras_move_back(cli, recording, tmp_path):
     # Turns are well determined: at most the common one of rig and person is left.
     assert (sd[:, :3] < 0.7 * prior_sd[:, :3]).all()
     assert np.linalg.norm((mean - motions)[:, :3]) < 0.8 * np.linalg.norm(motions[:, :3])
-    for distances in content["joints_to_keypoints_px"].values():
+    for distances in content["keypoints_px"].values():
         assert distances["after"] < 0.75 * distances["before"]
     new = load_session(tmp_path / "new")
     assert new.subject.lengths_m.keys() >= {"torso", "l_thigh", "r_calf"}
+    # What was inferred is the prior of whoever tracks the new session.
+    known = {term.name: term for term in build_model("keypoints", new).unknowns}
+    np.testing.assert_allclose(known["cameras"].sd, sd.ravel(), rtol=1e-5)
+    offsets, entries = known["keypoint_offsets"], content["unknowns"]["keypoint_offsets"]
+    assert offsets.space.labels == tuple(entry["name"] for entry in entries)
+    np.testing.assert_allclose(offsets.mean, [entry["mean"] for entry in entries], atol=1e-8)
+    np.testing.assert_allclose(offsets.sd, [entry["sd"] for entry in entries], rtol=1e-4)
+    lengths = {entry["name"]: entry for entry in content["unknowns"]["lengths"]}
+    np.testing.assert_allclose(
+        log_sd_of(known["lengths"]), [lengths[name]["sd"] / lengths[name]["mean"] for name in new.subject.lengths_m], rtol=1e-4
+    )
     for view, before, motion in zip(new.views, session.views, mean, strict=True):
         wanted = moved_spec(before.camera, motion)
         np.testing.assert_allclose(view.camera.rotation, wanted.rotation, atol=1e-9)
@@ -103,19 +121,96 @@ def test_cameras_move_back(cli, recording, tmp_path):
         assert new.image_path(view, 3) == session.image_path(before, 3)
 
 
+# Quarters of a frame by which the third camera shows later poses than the others, and frames of the walk.
+LATE, QUARTERS, WALK = 9, 4, 72
+
+
+@pytest.fixture
+def late_walk(tmp_path):
+    """A walk that a network sees, in which one camera's clock is wrong."""
+    cycle, fine_fps = load_cycle(), QUARTERS * 60.0
+    fine = walking(cycle, (WALK + 4) / 60.0, fine_fps, seed=4, height_m=cycle.height_m)
+    points = centred(fine, read_rig(RIG).aim_m)
+    person = person_of({name: track[: WALK * QUARTERS : QUARTERS] for name, track in points.items()}, known=False)
+    network = Network(seed=4)
+    session, _ = walk_session(tmp_path / "walk", person, network)
+    later = stacked(points)[LATE : LATE + WALK * QUARTERS : QUARTERS]
+    cameras = [view.camera for view in session.views]
+    write_series(session.folder / f"{cameras[2].name}.npz", KeypointSeries(seen_by(network, cameras, later)[2], MARKERS, 0))
+    views = []
+    for view in session.views:
+        (session.folder / view.camera.name).mkdir()
+        for frame in range(WALK):
+            (session.folder / view.camera.name / f"{frame}.png").touch()
+        views.append(dataclasses.replace(view, images=f"{view.camera.name}/%d.png"))
+    session = dataclasses.replace(session, views=tuple(views), initial_keypoints={}, fit_lengths=False)
+    save_session(session)
+    return session
+
+
+@pytest.mark.long
+def test_a_late_camera_is_shifted_and_the_rest_is_inferred(cli, late_walk, tmp_path):
+    done = cli("fit", late_walk.folder, "--out", tmp_path / "new", "--delays")
+    assert done.status == 0, done.err
+    camera = late_walk.views[2].camera.name
+    new = load_session(tmp_path / "new")
+    assert f"camera '{camera}' fits the others best 2 frames earlier" in done.out
+    # A camera that shows frame k + 2 as its frame k has the offset -2, and the session begins with the frame that it has.
+    assert ([view.offset for view in new.views], new.first_frame, new.frames) == ([0, 0, -2, 0], 2, WALK - 2)
+    known = [view.uncertainty for view in new.views]
+    assert (known[0].delay_s, known[0].delay_sd_s) == (0.0, None)
+    for view, delay in zip(known[1:], (0.0, LATE / QUARTERS - 2, 0.0), strict=True):
+        assert abs(view.delay_s - delay / 60.0) < max(2 * view.delay_sd_s, 0.008)
+        assert view.delay_sd_s < 0.008
+    content = json.loads((tmp_path / "new" / "fit.json").read_text(encoding="utf-8"))
+    assert not [remark for remark in content["warnings"] if "lost" in remark]
+
+
+@pytest.mark.long
+def test_a_camera_that_was_moved_on_purpose(cli, beam_session, tmp_path):
+    """A real recording: one camera is turned by a degree and moved by 5 cm, two standard deviations of what a calibration is expected to be off."""
+    session = beam_session
+    motion = np.concatenate([np.radians(1.0) * np.array([1, -1, 1]), 0.05 * np.array([1, 1, -1])]) / np.sqrt(3)
+    views = [dataclasses.replace(view, keypoints=str(session.keypoints_path(view))) for view in session.views]
+    views[1] = dataclasses.replace(views[1], camera=moved_spec(views[1].camera, motion))
+    save_session(dataclasses.replace(session, folder=tmp_path / "moved", views=tuple(views)))
+    save_session(
+        dataclasses.replace(
+            session,
+            folder=tmp_path / "still",
+            views=tuple(dataclasses.replace(view, keypoints=str(session.keypoints_path(view))) for view in session.views),
+        )
+    )
+    fits = []
+    for name in ("still", "moved"):
+        done = cli("fit", tmp_path / name, "--out", tmp_path / f"{name}_fit")
+        assert done.status == 0, done.err
+        fits.append((load_session(tmp_path / f"{name}_fit"), json.loads((tmp_path / f"{name}_fit" / "fit.json").read_text(encoding="utf-8"))))
+    (still, still_content), (moved, moved_content) = fits
+    for before, after in zip(still.views, moved.views, strict=True):
+        turn = after.camera.rotation @ before.camera.rotation.T
+        off = [*Rotation.from_matrix(turn).as_rotvec(), *(after.camera.translation_m - turn @ before.camera.translation_m)]
+        assert np.abs(np.divide(off, [*after.uncertainty.turn_sd, *after.uncertainty.move_sd_m])).max() < 2
+    for name, distances in moved_content["keypoints_px"].items():
+        assert distances["after"] == pytest.approx(still_content["keypoints_px"][name]["after"], abs=0.5)
+    picture = cv2.imread(str(tmp_path / "still_fit" / "fit.png"))
+    assert min(picture.shape[:2]) > 1000
+
+
 def test_a_definition_with_unknowns_keeps_its_own():
     shipped = load_definition("keypoints")
-    assert with_unknowns(shipped, delays=False) is shipped
+    assert with_unknowns(shipped) is shipped
     begin, end = shipped.text.index("[[unknown]]"), shipped.text.index("[kernel]")
     plain = parse_definition("plain", shipped.text[:begin] + shipped.text[end:], shipped.body_text)
-    free = with_unknowns(plain, delays=True)
+    free = with_unknowns(plain, 0.01)
     assert [term.kind for term in free.unknowns] == ["lengths", "cameras", "keypoint_offsets", "delays"]
     # The first pose was fitted with what is in doubt: nothing of it holds but what the motion prior says of rest.
     assert set(free.first.sd_deg.values()) == {30.0, *(sd for name, sd in plain.dynamics.options.spread_deg.items() if "root" not in name)}
     chosen = parse_definition("mine", f'{plain.text}\n[[unknown]]\nkind = "cameras"\nturn_sd_deg = 2.0\n', plain.body_text)
-    assert with_unknowns(chosen, delays=False) is chosen
-    late = with_unknowns(chosen, delays=True)
+    assert with_unknowns(chosen) is chosen
+    late = with_unknowns(chosen, 0.01)
     assert [term.kind for term in late.unknowns] == ["cameras", "delays"]
+    assert late.unknowns[1].options.sd_s == 0.01
     assert (late.unknowns[0].options.turn_sd_deg, late.first) == (2.0, chosen.first)
 
 

@@ -29,7 +29,7 @@ from bayes_body.recording.session.session import Session
 from bayes_body.results.posterior import markers, mean_pose
 from bayes_body.results.posterior.thinning import weighted_mean
 from bayes_body.runs.unknowns.definition import DELAYS, kernel_of
-from bayes_body.runs.unknowns.frames import Stretch, keypoints_of
+from bayes_body.runs.unknowns.frames import Stretch
 from bayes_body.tracking.draws import Draws
 from bayes_body.tracking.observations import observations
 from bayes_body.tracking.program import Ahead, compiled_ahead
@@ -124,30 +124,31 @@ def held(model: Model) -> Model:
     return replace(model, **dict(zip(names, narrow, strict=True)))
 
 
-def distances_px(part: Session, draws: Draws, stretch: Stretch) -> list[float]:
-    """Return the median distance of the keypoints in each camera from where the mean poses of the first run put them, pixels.
-
-    Offsets and delays count at their means. A camera without keypoints has NaN.
+def expected_px(part: Session, draws: Draws) -> Float[np.ndarray, "frame camera marker 2"]:
+    """Return where the mean poses of the first run put the keypoints, pixels; NaN behind a camera. Offsets and delays count at their means.
 
     Args:
         part: from `stretch_of`.
         draws: of a `held` model.
-        stretch: the frames.
     """
     model, means = draws.model, {term.name: term.mean for term in draws.model.unknowns}
-    keypoints = keypoints_of(part, model.body.markers.names)[list(stretch.indices)]
     poses = np.stack([mean_pose(frame, model)[0] for frame in draws.frames])
     body = with_changes(tuple(term for term in model.unknowns if term.node is Body), model.body, variables(means))
     placing, rig = replace(model, body=body, unknowns=()), model.rig_in(means)
-    distances = []
+    views = []
     for camera, delay_s in enumerate(_delays(model, len(part.views))):
         seen = poses + delay_s * _velocities(draws, poses.shape[-1]) if delay_s else poses
         lens = jax.tree.map(lambda leaf, camera=camera: leaf[camera], rig)
         pixels, in_front = (np.asarray(out) for out in _projected(lens, jnp.asarray(markers(placing, seen))))
-        off = np.where(in_front, np.linalg.norm(pixels - keypoints[:, camera], axis=-1), np.inf)
-        visible = np.isfinite(keypoints[:, camera, :, 0])
-        distances.append(float(np.median(off[visible])) if visible.any() else float("nan"))
-    return distances
+        views.append(np.where(in_front[..., None], pixels, np.nan))
+    return np.stack(views, axis=1)
+
+
+def median_distances(expected: Float[np.ndarray, "frame camera marker 2"], keypoints: Float[np.ndarray, "frame camera marker 2"]) -> list[float]:
+    """Return the median distance of the keypoints in each camera from where they are expected; NaN for a camera without keypoints."""
+    off, seen = np.linalg.norm(expected - keypoints, axis=-1), np.isfinite(keypoints[..., 0])
+    off = np.where(np.isnan(off), np.inf, off)
+    return [float(np.median(off[:, camera][seen[:, camera]])) if seen[:, camera].any() else float("nan") for camera in range(seen.shape[1])]
 
 
 def _delays(model: Model, cameras: int) -> list[float]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.atomic import write_text
 from bayes_body.base.files.lock import locked
 from bayes_body.base.progress import steps_bar
@@ -25,16 +25,17 @@ from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
 from bayes_body.runs.unknowns.clocks import with_whole_frames
 from bayes_body.runs.unknowns.definition import with_unknowns
-from bayes_body.runs.unknowns.filters import distances_px, held, prepare_filter, stretch_of
+from bayes_body.runs.unknowns.filters import expected_px, held, median_distances, prepare_filter, stretch_of
 from bayes_body.runs.unknowns.fitted_session import fitted_session
-from bayes_body.runs.unknowns.frames import Stretch, best_stretch, check_cameras
+from bayes_body.runs.unknowns.frames import Stretch, best_stretch, check_cameras, keypoints_of
 from bayes_body.runs.unknowns.posterior import Posterior, as_json, posteriors_of
 from bayes_body.runs.unknowns.remarks import farthest_runs, remarks_of
 from bayes_body.runs.unknowns.table import fit_lines
 from bayes_body.view.figures_text import warning_line
+from bayes_body.view.fit_picture import Expected, draw_fit
 
 CALIBRATION, HALF = "calibration", 0.5
-FIT_FILE, MODEL, FRAMES, RUNS = "fit.json", "keypoints", 40, 2
+PICTURE, FIT_FILE, MODEL, FRAMES, RUNS = "fit.png", "fit.json", "keypoints", 40, 2
 DOING = ("the session as it is", "lengths, cameras and others unknown", "the new session")
 
 
@@ -90,7 +91,10 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
             new = fitted_session(session, settings.out, definition, posteriors)
             new_part = stretch_of(new, stretch)
             after = filters.draws(key, new_part, held(filters.model(new_part)), _counting(step, 2, stretch))
-        before_px, after_px = distances_px(part, before, stretch), distances_px(new_part, after, stretch)
+        marker_names = model.body.markers.names
+        keypoints = keypoints_of(part, marker_names)[list(stretch.indices)]
+        expected_before, expected_after = expected_px(part, before), expected_px(new_part, after)
+        before_px, after_px = median_distances(expected_before, keypoints), median_distances(expected_after, keypoints)
         remarks, names = remarks_of(posteriors, drawn, session), [view.camera.name for view in session.views]
         _show(posteriors, names, before_px, after_px, remarks, show)
         distances = {name: {"before": b, "after": a} for name, b, a in zip(names, before_px, after_px, strict=True)}
@@ -105,6 +109,13 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         }
         write_text(settings.out / FIT_FILE, json.dumps(content, indent=2) + "\n")
         save_session(new)
+        middle = stretch.frames // 2
+        states = [Expected("before", expected_before[middle], before_px), Expected("after", expected_after[middle], after_px)]
+        try:
+            draw_fit(settings.out / PICTURE, part, stretch.indices[middle], marker_names, keypoints[middle], states)
+        except InputError as error:
+            # The result needs no picture.
+            show(warning_line(f"{PICTURE} is not drawn: {error}"))
         if (calibration := session.calibration_path) is not None:
             before_specs, specs = ([view.camera for view in recording.views] for recording in (session, new))
             show(
