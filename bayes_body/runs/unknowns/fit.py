@@ -95,7 +95,7 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         keypoints = keypoints_of(part, marker_names)[list(stretch.indices)]
         expected_before, expected_after = expected_px(part, before), expected_px(new_part, after)
         before_px, after_px = median_distances(expected_before, keypoints), median_distances(expected_after, keypoints)
-        remarks, names = remarks_of(posteriors, drawn, session), [view.camera.name for view in session.views]
+        remarks, names = [*_fitted_before(session), *remarks_of(posteriors, drawn, session)], [view.camera.name for view in session.views]
         _show(posteriors, names, before_px, after_px, remarks, show)
         distances = {name: {"before": b, "after": a} for name, b, a in zip(names, before_px, after_px, strict=True)}
         content = {
@@ -128,6 +128,12 @@ def _frames_line(session: Session, stretch: Stretch) -> str:
     first, last = (session.frame_number(index) for index in (stretch.first, stretch.first + stretch.span - 1))
     every = "" if stretch.step == 1 else f", one of {stretch.step}"
     return f"frames      {stretch.frames}, from {first} to {last}{every}: those in which two or more cameras see most"
+
+
+def _fitted_before(session: Session) -> list[str]:
+    if not (session.folder / FIT_FILE).exists():
+        return []
+    return ["this session was fitted before, and its standard deviations know the same keypoints: fit the session from which it was made."]
 
 
 def _show(

@@ -19,7 +19,7 @@ def fit_lines(posteriors: Mapping[str, Posterior], cameras: Sequence[str], befor
     Args:
         posteriors: from `posteriors_of`.
         cameras: names of the cameras.
-        before_px: median distance of the body's joints from the keypoints in each camera, with the session as it was.
+        before_px: median distance of the keypoints in each camera from where the body puts them, with the session as it was.
         after_px: the same with the new session.
     """
     lines = []
@@ -29,7 +29,7 @@ def fit_lines(posteriors: Mapping[str, Posterior], cameras: Sequence[str], befor
     if any((values.remaining > UNDETERMINED).any() for values in posteriors.values()):
         lines += ["", LEGEND]
     distances = zip(cameras, before_px, after_px, strict=True)
-    rows = [("joints to keypoints", "before", "after"), *((camera, f"{old_px:.1f} px", f"{new_px:.1f} px") for camera, old_px, new_px in distances)]
+    rows = [("keypoints to body", "before", "after"), *((camera, f"{old_px:.1f} px", f"{new_px:.1f} px") for camera, old_px, new_px in distances)]
     return [*lines, "", *aligned(rows)]
 
 
