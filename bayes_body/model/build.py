@@ -284,7 +284,7 @@ def _measures(subject: Subject, definition: Definition) -> Subject:
         return subject
     # A smaller body may lack parts of the other body.
     schema = definition.body
-    known = {*schema.lengths_of_height, *(part.name for part in schema.parts), *(marker.name for marker in schema.markers), OVERALL}
+    known = {*schema.lengths_of_height, *(part.name for part in schema.parts), *schema.markers, OVERALL}
 
     def restrict[Value](measures: Mapping[str, Value]) -> dict[str, Value]:
         return {name: value for name, value in measures.items() if name in known}

@@ -243,7 +243,10 @@ def _view(table: CameraTable) -> View:
         rotation=np.array(table.rotation),
         translation_m=np.array(table.translation_m),
     )
-    turn_sd = None if table.turn_sd_deg is None else tuple(math.radians(value) for value in table.turn_sd_deg)
+    turn_sd = None
+    if table.turn_sd_deg is not None:
+        x, y, z = (math.radians(value) for value in table.turn_sd_deg)
+        turn_sd = x, y, z
     known = CameraUncertainty(turn_sd, table.move_sd_m, table.focal_sd, table.centre_sd_px, table.delay_s, table.delay_sd_s)
     sources = (table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
     return View(camera, *sources, known)

@@ -6,6 +6,7 @@ with standard deviations that are almost 0.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -98,7 +99,8 @@ def prepare_filter(definition: Definition, part: Session, stretch: Stretch, runs
     slow = _slow(part, stretch)
     model = build_model(definition, slow)
     slow, kernel = with_first_keypoints(model, slow), kernel_of(model)
-    with compiled_ahead(slow, model, kernel, kernel.options.particles, runs) as ahead:
+    options: Any = kernel.options
+    with compiled_ahead(slow, model, kernel, options.particles, runs) as ahead:
         estimate = first_pose(model, slow, show=show)
     return Filter(definition, stretch, runs, kernel, ahead, estimate)
 

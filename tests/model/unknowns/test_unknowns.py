@@ -249,6 +249,10 @@ def test_the_session_says_how_well_it_knows_what_it_says(keypoint_session):
         wrong = dataclasses.replace(session, subject=dataclasses.replace(subject, **{key: table}))
         with pytest.raises(InputError, match=r"no such .*did you mean"):
             build_model(with_unknowns("keypoints", *KINDS), wrong)
+    # A smaller body lacks some of the names.
+    smaller = dataclasses.replace(session, subject=dataclasses.replace(subject, body="deutscher_31"))
+    legs = term(build_model(with_unknowns("poon_fleet_2002_legs", "lengths"), smaller), "lengths")
+    assert np.hypot(legs.sd[0], legs.sd[legs.space.labels.index("thigh")]) == pytest.approx(0.04)
     # A definition without unknowns takes the session's word.
     np.testing.assert_array_equal(
         expected(build_model(with_unknowns("keypoints"), session)), expected(build_model(with_unknowns("keypoints"), keypoint_session))
