@@ -22,6 +22,8 @@ from bayes_body.workshop.simulation.visibility import detected, pixels
 RIG, BODY = "room_4", "deutscher_31"
 # Of the first pose, as in `bayes-body simulate`.
 FIRST_SD_PX = 3.0
+# Scale of the noise that the model `keypoints` assumes, in an image with a diagonal of 800 pixels.
+SCALE_PX = 5.0
 
 
 class Person(NamedTuple):
@@ -38,10 +40,10 @@ def shipped_walk(frames, seed):
     return centred(walk(cycle, frames / rig.fps, rig.fps, seed=seed, height_m=cycle.height_m), rig.aim_m)
 
 
-def captured_walk(path, frames, first=0):
-    """Landmarks of a captured motion, as `bayes-body simulate FILE.amc --first-frame FIRST` films it."""
+def captured_walk(path, frames, first=0, fps=None):
+    """Landmarks of a captured motion, as `bayes-body simulate FILE.amc --first-frame FIRST` films it. `fps` is the rig's by default."""
     rig = _rig()
-    return centred(cut(landmarks(resample(read_motion(path), rig.fps)), first, frames), rig.aim_m)
+    return centred(cut(landmarks(resample(read_motion(path), fps or rig.fps)), first, frames), rig.aim_m)
 
 
 def person_of(points, known):
@@ -63,19 +65,29 @@ class Network(NamedTuple):
         noise: "simulated", the detector of `bayes-body simulate`: Gaussian, 3 pixels, with a smaller confidence where the error is larger; or
             "assumed", what the model `keypoints` assumes: Student's t, 5 pixels, with a confidence of 1.
         seed: random seed.
+        lasting: share of the variance of "assumed" noise that is a normal error of each keypoint and camera which fades slowly.
+        fades_frames: after so many frames it has faded to 37 %.
     """
 
     outliers: float = 0.0
     missing: float = 0.0
     noise: str = "simulated"
     seed: int = 0
+    lasting: float = 0.0
+    fades_frames: float = 30.0
 
 
 def seen_by(network, cameras, markers):
-    """Column, row, confidence (camera, frame, marker, 3) of true markers; NaN where not seen."""
+    """Column, row, confidence (camera, frame, marker, 3) of true markers; NaN where not seen.
+
+    `markers` are (frame, marker, 3), or (camera, frame, marker, 3) if each camera has a time of its own.
+    """
     rng = np.random.default_rng(network.seed)
-    seen = np.stack([[_seen(rng, network, camera, points) for points in markers] for camera in cameras])
+    by_camera = np.broadcast_to(markers, (len(cameras), *markers.shape[-3:]))
+    seen = np.stack([[_seen(rng, network, camera, points) for points in path] for camera, path in zip(cameras, by_camera, strict=True)])
     size = np.array([camera.size_px for camera in cameras])[:, None, None]
+    if network.lasting:
+        seen[..., :2] += np.hypot(*np.moveaxis(size, -1, 0))[..., None] / 800 * _lasting_errors(network, seen[..., :2].shape)
     is_wrong = rng.random(seen.shape[:3]) < network.outliers
     seen[..., :2] = np.where(is_wrong[..., None] & np.isfinite(seen[..., :2]), rng.random(seen[..., :2].shape) * size, seen[..., :2])
     return np.where((rng.random(seen.shape[:3]) < network.missing)[..., None], np.nan, seen)
@@ -86,8 +98,19 @@ def _seen(rng, network, camera, points):
         found = detected(rng, camera, dict(zip(MARKERS, points, strict=True)), FIRST_SD_PX)
         return np.array([found.get(name, (np.nan,) * 3) for name in MARKERS])
     true, visible = pixels(camera, points)
-    off = 5.0 * np.hypot(*camera.size_px) / 800 * rng.standard_normal(true.shape) / np.sqrt(rng.chisquare(3, (len(true), 1)) / 3)
+    scale_px = SCALE_PX * np.sqrt(1 - network.lasting) * np.hypot(*camera.size_px) / 800
+    off = scale_px * rng.standard_normal(true.shape) / np.sqrt(rng.chisquare(3, (len(true), 1)) / 3)
     return np.where(visible[:, None], np.column_stack([true + off, np.ones(len(true))]), np.nan)
+
+
+def _lasting_errors(network, shape):
+    """Errors (camera, frame, marker, 2) of a stationary autoregression, pixels of an image with a diagonal of 800."""
+    rng, retention = np.random.default_rng((network.seed, 29)), np.exp(-1 / network.fades_frames)
+    # Student's t with three degrees of freedom has three times the variance of its scale.
+    steps = SCALE_PX * np.sqrt(3 * network.lasting) * rng.standard_normal(shape)
+    for frame in range(1, shape[1]):
+        steps[:, frame] = retention * steps[:, frame - 1] + np.sqrt(1 - retention**2) * steps[:, frame]
+    return steps
 
 
 def walk_session(folder, person, network, cameras=None):
