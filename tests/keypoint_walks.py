@@ -22,8 +22,6 @@ from bayes_body.workshop.simulation.visibility import detected, pixels
 RIG, BODY = "room_4", "deutscher_31"
 # Of the first pose, as in `bayes-body simulate`.
 FIRST_SD_PX = 3.0
-# Scale of the noise that the model `keypoints` assumes, in an image with a diagonal of 800 pixels.
-SCALE_PX = 5.0
 
 
 class Person(NamedTuple):
@@ -63,10 +61,11 @@ class Network(NamedTuple):
         outliers: fraction of the keypoints that are anywhere in the image, with a confidence like that of the others.
         missing: fraction that is not seen.
         noise: "simulated", the detector of `bayes-body simulate`: Gaussian, 3 pixels, with a smaller confidence where the error is larger; or
-            "assumed", what the model `keypoints` assumes: Student's t, 5 pixels, with a confidence of 1.
+            "assumed", what the model `keypoints` assumes: Student's t, with a confidence of 1.
         seed: random seed.
         lasting: share of the variance of "assumed" noise that is a normal error of each keypoint and camera which fades slowly.
         fades_frames: after so many frames it has faded to 37 %.
+        scale_px: scale of "assumed" noise, in an image with a diagonal of 800 pixels; that of the model `keypoints` by default.
     """
 
     outliers: float = 0.0
@@ -75,6 +74,7 @@ class Network(NamedTuple):
     seed: int = 0
     lasting: float = 0.0
     fades_frames: float = 30.0
+    scale_px: float = 5.0
 
 
 def seen_by(network, cameras, markers):
@@ -98,7 +98,7 @@ def _seen(rng, network, camera, points):
         found = detected(rng, camera, dict(zip(MARKERS, points, strict=True)), FIRST_SD_PX)
         return np.array([found.get(name, (np.nan,) * 3) for name in MARKERS])
     true, visible = pixels(camera, points)
-    scale_px = SCALE_PX * np.sqrt(1 - network.lasting) * np.hypot(*camera.size_px) / 800
+    scale_px = network.scale_px * np.sqrt(1 - network.lasting) * np.hypot(*camera.size_px) / 800
     off = scale_px * rng.standard_normal(true.shape) / np.sqrt(rng.chisquare(3, (len(true), 1)) / 3)
     return np.where(visible[:, None], np.column_stack([true + off, np.ones(len(true))]), np.nan)
 
@@ -107,7 +107,7 @@ def _lasting_errors(network, shape):
     """Errors (camera, frame, marker, 2) of a stationary autoregression, pixels of an image with a diagonal of 800."""
     rng, retention = np.random.default_rng((network.seed, 29)), np.exp(-1 / network.fades_frames)
     # Student's t with three degrees of freedom has three times the variance of its scale.
-    steps = SCALE_PX * np.sqrt(3 * network.lasting) * rng.standard_normal(shape)
+    steps = network.scale_px * np.sqrt(3 * network.lasting) * rng.standard_normal(shape)
     for frame in range(1, shape[1]):
         steps[:, frame] = retention * steps[:, frame - 1] + np.sqrt(1 - retention**2) * steps[:, frame]
     return steps

@@ -8,7 +8,9 @@ import numpy as np
 
 from bayes_body.model.body.solids import Body
 from bayes_body.model.unknowns.lengths import lengths_of
+from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.results.metrics.accuracy import LEVELS, inside_intervals
+from bayes_body.results.metrics.angles import true_angles
 from bayes_body.results.metrics.clouds import weights_of
 from bayes_body.results.metrics.truth import draws_against_truth, true_markers
 from bayes_body.results.posterior.weighted import frame_rhat, markers, rhat
@@ -86,13 +88,19 @@ def mean_markers(draws):
         places = markers(draws.model, frame.states[draws.model.body.variable], **changes)
         weights = np.stack([weights_of(log_weights) for log_weights in frame.log_weights])
         by_frame.append(np.einsum("rn,rnmk->rmk", weights, places))
-    return np.stack(by_frame, axis=1)[:, :, _order(draws.model.body.markers.names)]
+    names = draws.model.body.markers.names
+    return np.stack(by_frame, axis=1)[:, :, [names.index(name) for name in MARKERS]]
 
 
-def _order(names):
-    from bayes_body.recording.evidence.markers import MARKERS
-
-    return [names.index(name) for name in MARKERS]
+def dof_scores(session, draws, names):
+    """Distance of the mean from the truth in standard deviations (frame, dof), of the first run's angles of these dofs."""
+    columns = [draws.model.body.dof_names.index(name) for name in names]
+    poses, scores = true_angles(session, draws.model).poses[:, columns], []
+    for frame, true in zip(draws.frames, poses, strict=True):
+        weights, values = weights_of(frame.log_weights[0]), np.asarray(frame.states["pose"], float)[0][:, columns]
+        mean = weights @ values
+        scores.append((mean - true) / np.sqrt(weights @ (values - mean) ** 2))
+    return np.array(scores)
 
 
 def _rms_mm(errors):
@@ -100,7 +108,7 @@ def _rms_mm(errors):
 
 
 def _angles(accuracy):
-    """By angle, left and right together: root mean square error, its largest standard score, and share inside the 90 % intervals."""
+    """By angle, left and right together: root mean square error, and share inside the 90 % intervals."""
     rows = {}
     for angle in ANGLES:
         columns = [place for place, name in enumerate(accuracy.names) if name.removesuffix("_l").removesuffix("_r") == angle]
@@ -112,6 +120,8 @@ def _angles(accuracy):
 
 def _agreement(draws):
     """R-hat over the runs: the median frame's largest of the pose, and the largest of an unknown in the last frame."""
+    if draws.runs < 2:
+        return dict.fromkeys(("rhat_pose", "rhat_pose_max", "rhat_unknowns"), float("nan"))
     last = len(draws.frames) - 1
     unknowns = [frame_rhat(draws.frames[last], last, term.name, term.space) for term in draws.model.unknowns]
     largest = max((float(np.nanmax(values)) for values in unknowns), default=float("nan"))

@@ -1,9 +1,10 @@
 """Recordings of people of whom the session says what is not exact: lengths, cameras, clocks and where keypoints lie.
 
-A person moves by the joint angles with which the model's body follows landmarks best. Lengths, cameras, delays and offsets of keypoints are drawn from
-other tables than those of the model's prior. The session has the table's lengths for a height, and the cameras before they were moved.
+A person moves by the joint angles with which the model's body follows landmarks best. Lengths, cameras, delays and offsets of keypoints are drawn
+from other tables than those of the model's prior. The session has the table's lengths for a height, and the cameras before they were moved.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,8 +27,8 @@ from bayes_body.runs.unknowns.fitted_session import moved_spec
 from bayes_body.workshop.compare.scenes import _blank
 from bayes_body.workshop.simulation.staging import stature_m
 
-# How people differ from the table in the mean, as logarithms, and how they differ from each other.
-USUAL_DEVIATION = {"clavicle": np.log(0.8), "pelvis": np.log(1.1), "calf": np.log(0.96), "thigh": np.log(1.03)}
+# Length of a bone over that of the table, in the mean of people; 1 for all others.
+OTHER_TABLE = {"clavicle": 0.8, "pelvis": 1.1, "calf": 0.96, "thigh": 1.03}
 # Frames before and behind the recording, for cameras whose clocks are early or late.
 MARGIN = 3
 
@@ -37,8 +38,8 @@ class Spread(NamedTuple):
 
     Attributes:
         height: relative standard deviation of the stated height.
-        bones: that of each bone, beside USUAL_DEVIATION, which is multiplied by `usual`.
-        usual: share of USUAL_DEVIATION.
+        bones: that of each bone.
+        table: what the length of a bone is multiplied by, before that.
         turn_deg: standard deviation of a camera's turn about each axis.
         move_m: that of its move along each axis.
         offset_m: that of a keypoint's offset along each axis of its joint's frame.
@@ -48,7 +49,7 @@ class Spread(NamedTuple):
 
     height: float = 0.01
     bones: float = 0.04
-    usual: float = 1.0
+    table: Mapping[str, float] = OTHER_TABLE
     turn_deg: float = 0.5
     move_m: float = 0.02
     offset_m: float = 0.01
@@ -121,9 +122,7 @@ def record(folder, movement, network, spread=Spread(), seed=0):
 
 def _lengths(rng, schema, height_m, spread):
     bones = {name: name[2:] if name.startswith(("l_", "r_")) else name for name in schema.lengths_of_height}
-    deviations = {
-        bone: spread.usual * USUAL_DEVIATION.get(bone, 0.0) + spread.bones * rng.standard_normal() for bone in dict.fromkeys(bones.values())
-    }
+    deviations = {bone: np.log(spread.table.get(bone, 1.0)) + spread.bones * rng.standard_normal() for bone in dict.fromkeys(bones.values())}
     return {name: float(share * height_m * np.exp(deviations[bones[name]])) for name, share in schema.lengths_of_height.items()}
 
 
@@ -134,7 +133,7 @@ def _delays(rng, cameras, fps, spread):
 
 
 def _keypoints(body, movement, delay_s, offsets_m):
-    """Where a network expects keypoints (frame, marker, 3) in the frames of a camera, in the order of the evidence; NaN for markers that are absent."""
+    """Where keypoints lie (frame, marker, 3) in the frames of a camera, in the order of the evidence; NaN for markers that are absent."""
     times = np.arange(len(movement.angles)) + delay_s * movement.fps
     angles = CubicSpline(np.arange(len(movement.angles)), movement.angles)(times)[MARGIN:-MARGIN]
     names, evidence = body.markers.names, evidence_names(body.markers.names)

@@ -6,7 +6,8 @@ prior (tests/unknown_recordings.py). Of each recording there are these runs ("ar
 - fixed: all is taken as the session says, without unknowns;
 - free: the model as it ships;
 - delays: the same with unknown delays, where there are delays;
-- truth: true lengths, cameras and offsets are known, and the cameras are synchronous. It is the floor.
+- truth: true lengths, cameras and offsets are known, and the cameras are synchronous. It is the floor;
+- one more for each `--set`: as free, with other options of its unknowns.
 
 Errors are also given after the best rigid motion and scale of a whole recording: rig and person may move together, and no image shows it.
 """
@@ -39,6 +40,8 @@ from bayes_body.tracking.track import track  # noqa: E402
 
 TRAIN = ("02_01", "02_02", "05_01", "07_01", "07_03", "08_01", "08_03", "16_15", "16_16", "16_47")
 TEST = ("06_01", "35_02", "35_07", "38_01", "38_02", "39_01", "39_02", "39_03", "39_07", "39_12")
+# The split that everything learned here keeps to.
+TRAIN_SUBJECTS = ("02", "05", "07", "08", "16")
 ARMS = ("fixed", "free", "delays", "truth")
 DELAY_S = (0.008, 0.025)
 FADES_S = 0.5
@@ -59,21 +62,21 @@ def changed(definition, settings):
         kind, option = path.split(".")
         if kind not in [term.kind for term in definition.unknowns]:
             sys.exit(f"--set {setting}: the model has no unknown '{kind}'; it has {', '.join(term.kind for term in definition.unknowns)}")
-        terms = [
-            replace(term, options=term.options.model_copy(update={option: float(value)})) if term.kind == kind else term
-            for term in definition.unknowns
-        ]
+        update = {option: float(value)}
+        terms = [replace(term, options=term.options.model_copy(update=update)) if term.kind == kind else term for term in definition.unknowns]
         definition = replace(definition, unknowns=tuple(terms))
     return definition
 
 
-def track_arm(arm, recording, synchronous, definition, options, seed):
+def track_arm(arm, recording, synchronous, options, seed):
     """Figures of one arm, and CPU seconds a frame, compilation included."""
-    session = {"fixed": recording.session, "truth": synchronous.known}.get(arm, recording.session)
-    chosen = replace(definition, unknowns=()) if arm in ("fixed", "truth") else definition
+    session = synchronous.known if arm == "truth" else recording.session
+    definition = changed(bb.load_definition(options.model), [] if arm in ARMS else arm.split())
+    if arm in ("fixed", "truth"):
+        definition = replace(definition, unknowns=())
     if arm == "delays":
-        chosen = with_unknowns(chosen, delays=True)
-    model = bb.load_model(chosen, session, show=lambda _: None)
+        definition = with_unknowns(definition, delays=True)
+    model = bb.load_model(definition, session, show=lambda _: None)
     if arm == "truth":
         model = with_known_offsets(model, synchronous.truth.offsets_m)
     begun = time.process_time()
@@ -95,7 +98,6 @@ def recorded(name, seed, folder, options):
 
 def rows_of(options):
     """Yield a row for each recording and arm."""
-    definition = changed(bb.load_definition(options.model), options.set)
     names = {"train": TRAIN, "test": TEST, "all": TRAIN + TEST}[options.subjects]
     names = options.recordings or names
     for place in watched("recordings")(range(len(names))):
@@ -103,10 +105,14 @@ def rows_of(options):
         seed = (TRAIN + TEST).index(name) if name in TRAIN + TEST else place
         with tempfile.TemporaryDirectory() as folder:
             recording, synchronous = recorded(name, seed, Path(folder), options)
-            for arm in options.arms:
-                if arm != "delays" or options.delays:
-                    row = track_arm(arm, recording, synchronous, definition, options, seed)
-                    yield {"recording": name, "split": "train" if name in TRAIN else "test", "arm": arm, **row}
+            for arm in arms_of(options):
+                row = track_arm(arm, recording, synchronous, options, seed)
+                yield {"recording": name, "split": "train" if name[:2] in TRAIN_SUBJECTS else "test", "arm": arm, **row}
+
+
+def arms_of(options):
+    """The arms in order: those that were chosen, then one for each `--set`."""
+    return [*(arm for arm in options.arms if arm != "delays" or options.delays), *(" ".join(settings) for settings in options.set)]
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------------------------
@@ -117,7 +123,7 @@ def line_of(row) -> str:
     worst = min(row["by_marker"], key=row["by_marker"].get)
     kinds = ", ".join(f"{kind} {np.mean(entries['inside']):.2f}" for kind, entries in row["unknowns"].items())
     errors = f"{row['rms_mm']:6.1f} {row['aligned_rms_mm']:6.1f} {row['coverage_90']:6.3f} {row['by_marker'][worst]:5.2f} {worst:10}"
-    return f"{row['recording']:6} {row['arm']:6} {errors} {row['rhat_unknowns']:5.2f} {1e3 * row['cpu_s']:5.0f} {kinds}"
+    return f"{row['recording']:6} {row['arm'][:30]:6} {errors} {row['rhat_unknowns']:5.2f} {1e3 * row['cpu_s']:5.0f} {kinds}"
 
 
 def summary_of(rows, arm):
@@ -131,7 +137,7 @@ def summary_of(rows, arm):
         return float(np.mean([row["angles"][name][key] for row in chosen if name in row["angles"]]))
 
     by_marker = {name: np.mean([row["by_marker"][name] for row in chosen]) for name in chosen[0]["by_marker"]}
-    summary = {f"{key}": mean(key) for key in ("mean_mm", "rms_mm", "aligned_mean_mm", "aligned_rms_mm", "coverage_90", "coverage_50", "crps_mm")}
+    summary = {key: mean(key) for key in ("mean_mm", "rms_mm", "aligned_mean_mm", "aligned_rms_mm", "coverage_90", "coverage_50", "crps_mm")}
     summary |= {
         "least_recording": min(row["coverage_90"] for row in chosen),
         "worst_marker": float(min(by_marker.values())),
@@ -152,7 +158,7 @@ def summary_of(rows, arm):
 
 def table_of(rows) -> str:
     """A Markdown table with a column for each arm."""
-    arms = [arm for arm in ARMS if any(row["arm"] == arm for row in rows)]
+    arms = list(dict.fromkeys(row["arm"] for row in rows))
     by_arm = {arm: summary_of(rows, arm) for arm in arms}
 
     def line(title, cell):
@@ -182,9 +188,9 @@ def table_of(rows) -> str:
 def asked_of(rows) -> str:
     """What was asked of the arm `free`, and what it did."""
     free, truth = summary_of(rows, "free"), summary_of(rows, "truth")
-    kinds = {kind: free[kind]["inside"] for kind in rows[0]["unknowns"] or next(row for row in rows if row["arm"] == "free")["unknowns"]}
+    kinds = next(row for row in rows if row["arm"] == "free")["unknowns"]
     figures_of = {
-        "unknowns in their 90 % intervals": list(kinds.values()),
+        "unknowns in their 90 % intervals": [free[kind]["inside"] for kind in kinds],
         "markers in their 90 % intervals, mean": [free["coverage_90"]],
         "the same, least recording": [free["least_recording"]],
         "the same, worst marker": [free["worst_marker"]],
@@ -211,7 +217,7 @@ def main() -> None:
     parser.add_argument("--delays", action="store_true", help=f"cameras are {1e3 * DELAY_S[0]:g} to {1e3 * DELAY_S[1]:g} ms early or late")
     parser.add_argument("--whole-frames", action="store_true", help="with --delays: less than half a frame of them is left")
     parser.add_argument("--lasting", type=float, default=0.0, help=f"share of the noise's variance that fades in {FADES_S:g} s; default 0")
-    parser.add_argument("--set", nargs="+", default=[], metavar="UNKNOWN.OPTION=NUMBER", help="such as keypoint_offsets.lasts_s=10")
+    parser.add_argument("--set", nargs="+", action="append", default=[], metavar="UNKNOWN.OPTION=NUMBER", help="such as keypoint_offsets.lasts_s=10")
     parser.add_argument("--json", type=Path, help="write the rows there, after each recording")
     options = parser.parse_args()
     if not os.environ.get("BAYES_BODY_DATA"):
