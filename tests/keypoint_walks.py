@@ -63,7 +63,7 @@ class Network(NamedTuple):
         noise: "simulated", the detector of `bayes-body simulate`: Gaussian, 3 pixels, with a smaller confidence where the error is larger; or
             "assumed", what the model `keypoints` assumes: Student's t, with a confidence of 1.
         seed: random seed.
-        lasting: share of the variance of "assumed" noise that is a normal error of each keypoint and camera which fades slowly.
+        lasting: share of the squared scale of "assumed" noise that is a normal error of each keypoint and camera which fades slowly.
         fades_frames: after so many frames it has faded to 37 %.
         scale_px: scale of "assumed" noise, in an image with a diagonal of 800 pixels; that of the model `keypoints` by default.
     """
@@ -106,8 +106,7 @@ def _seen(rng, network, camera, points):
 def _lasting_errors(network, shape):
     """Errors (camera, frame, marker, 2) of a stationary autoregression, pixels of an image with a diagonal of 800."""
     rng, retention = np.random.default_rng((network.seed, 29)), np.exp(-1 / network.fades_frames)
-    # Student's t with three degrees of freedom has three times the variance of its scale.
-    steps = network.scale_px * np.sqrt(3 * network.lasting) * rng.standard_normal(shape)
+    steps = network.scale_px * np.sqrt(network.lasting) * rng.standard_normal(shape)
     for frame in range(1, shape[1]):
         steps[:, frame] = retention * steps[:, frame - 1] + np.sqrt(1 - retention**2) * steps[:, frame]
     return steps

@@ -216,7 +216,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=2, help="independent runs of each arm, for R-hat")
     parser.add_argument("--delays", action="store_true", help=f"cameras are {1e3 * DELAY_S[0]:g} to {1e3 * DELAY_S[1]:g} ms early or late")
     parser.add_argument("--whole-frames", action="store_true", help="with --delays: less than half a frame of them is left")
-    parser.add_argument("--lasting", type=float, default=0.0, help=f"share of the noise's variance that fades in {FADES_S:g} s; default 0")
+    parser.add_argument(
+        "--lasting", type=float, default=0.0, help=f"share of the noise's squared scale that is an error which fades in {FADES_S:g} s; default 0"
+    )
     parser.add_argument("--set", nargs="+", action="append", default=[], metavar="UNKNOWN.OPTION=NUMBER", help="such as keypoint_offsets.lasts_s=10")
     parser.add_argument("--json", type=Path, help="write the rows there, after each recording")
     options = parser.parse_args()
