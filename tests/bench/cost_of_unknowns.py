@@ -1,4 +1,4 @@
-"""What unknowns cost: `python tests/bench/unknowns_cost.py SESSION [--model M] [--frames N] [--kernel K ...]`.
+"""What unknowns cost: `python tests/bench/cost_of_unknowns.py SESSION [--model M] [--frames N] [--kernel K ...]`.
 
 CPU time of a frame, after compilation, with the model's unknowns and without them. Both are run in turns, so that other work on the machine slows
 both: read the ratio.
