@@ -67,10 +67,8 @@ def recording(tmp_path):
     wrong, motions = [], []
     for index, view in enumerate(views):
         pixels, _ = project(jax.tree.map(lambda leaf, index=index: leaf[index], model.rig), places)
-        points = np.full((FRAMES, len(MARKERS), 3), np.nan)
-        points[:, [MARKERS.index(name) for name in names], :2] = np.asarray(pixels) + NOISE_PX * rng.normal(size=pixels.shape)
-        points[..., 2] = 0.9
-        write_series(tmp_path / f"{view.camera.name}.npz", KeypointSeries(points, MARKERS, 0))
+        points = np.dstack([np.asarray(pixels) + NOISE_PX * rng.normal(size=pixels.shape), np.full(pixels.shape[:2], 0.9)])
+        write_series(tmp_path / f"{view.camera.name}.npz", KeypointSeries(points, names, 0))
         motion = np.concatenate([TURN_RAD * np.sign(rng.normal(size=3)), MOVE_M * np.sign(rng.normal(size=3))]) / np.sqrt(3)
         camera = moved_spec(view.camera, inverse(motion))
         np.testing.assert_allclose(moved_spec(camera, motion).translation_m, view.camera.translation_m, atol=1e-12)
