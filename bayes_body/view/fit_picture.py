@@ -76,8 +76,8 @@ def _with_keypoints(
     crop: Crop, image: MatLike, names: Sequence[str], keypoints: Float[np.ndarray, "marker 2"], expected: Float[np.ndarray, "marker 2"]
 ) -> MatLike:
     picture = cv2.convertScaleAbs(crop.cut(image), alpha=DIMMED)
-    seen, modelled = (_fixed(crop.place(points)) for points in (keypoints, expected))
-    for name, keypoint, place in zip(names, seen, modelled, strict=True):
+    rings, dots = (_fixed(crop.place(points)) for points in (keypoints, expected))
+    for name, keypoint, place in zip(names, rings, dots, strict=True):
         if keypoint is None or place is None:
             continue
         cv2.line(picture, keypoint, place, WHITE, LINE_PX, cv2.LINE_AA, FRACTION_BITS)
@@ -89,4 +89,4 @@ def _with_keypoints(
 def _fixed(points: Float[np.ndarray, "point 2"]) -> list[tuple[int, int] | None]:
     """Return points in OpenCV's numbers, which count fractions of a pixel; None for a point that is not known."""
     rounded = np.round(np.nan_to_num(points) * 2**FRACTION_BITS).astype(int).tolist()
-    return [(column, row) if known else None for (column, row), known in zip(rounded, np.isfinite(points).all(axis=-1), strict=True)]
+    return [(column, row) if is_finite else None for (column, row), is_finite in zip(rounded, np.isfinite(points).all(axis=-1), strict=True)]

@@ -77,19 +77,19 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     uncertainties = setting.uncertainties or (CameraUncertainty(),) * len(setting.cameras)
     entries = [
         (f"{camera}_{name}", unit, sd)
-        for camera, known in zip(setting.cameras, uncertainties, strict=True)
-        for name, unit, sd in _entries(options, known)
+        for camera, uncertainty in zip(setting.cameras, uncertainties, strict=True)
+        for name, unit, sd in _entries(options, uncertainty)
     ]
     labels, units, sd = zip(*entries, strict=True)
     moves = Numbered("camera", tuple(np.repeat(np.arange(len(setting.cameras)), len(entries) // len(setting.cameras)).tolist()))
     return unknown_about_zero(NAME, labels, units, list(sd), options.lasts_s, setting, Camera, change, moves=moves)
 
 
-def _entries(options: Options, known: CameraUncertainty) -> Iterator[tuple[str, str, float]]:
+def _entries(options: Options, uncertainty: CameraUncertainty) -> Iterator[tuple[str, str, float]]:
     """Yield name, unit and standard deviation of each entry of one camera: what the session says, else the options."""
-    turn_sd, move_sd_m = known.turn_sd or (math.radians(options.turn_sd_deg),) * 3, known.move_sd_m or (options.move_sd_m,) * 3
+    turn_sd, move_sd_m = uncertainty.turn_sd or (math.radians(options.turn_sd_deg),) * 3, uncertainty.move_sd_m or (options.move_sd_m,) * 3
     yield from zip(MOTION, ("rad",) * 3 + ("m",) * 3, (*turn_sd, *move_sd_m), strict=True)
     if options.focal_sd:
-        yield "focal", "", known.focal_sd or options.focal_sd
+        yield "focal", "", uncertainty.focal_sd or options.focal_sd
     if options.centre_sd_px:
-        yield from zip(("centre_u", "centre_v"), ("px", "px"), known.centre_sd_px or (options.centre_sd_px,) * 2, strict=True)
+        yield from zip(("centre_u", "centre_v"), ("px", "px"), uncertainty.centre_sd_px or (options.centre_sd_px,) * 2, strict=True)

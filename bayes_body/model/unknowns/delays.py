@@ -39,8 +39,8 @@ def change(markers: MarkersGaussian, value: Float[Array, " entry"], values: Vari
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one rig."""
-    labels, known = setting.cameras[1:], setting.uncertainties[1:] or (CameraUncertainty(),) * len(setting.cameras[1:])
-    sd = [camera.delay_sd_s or options.sd_s for camera in known]
+    labels, uncertainty = setting.cameras[1:], setting.uncertainties[1:] or (CameraUncertainty(),) * len(setting.cameras[1:])
+    sd = [camera.delay_sd_s or options.sd_s for camera in uncertainty]
     attributes = {"sides": ("likelihood",), "reads": (VELOCITY,), "moves": Numbered("camera", tuple(range(1, len(setting.cameras))))}
     delays = unknown_about_zero(NAME, labels, ("s",) * len(labels), sd, options.lasts_s, setting, MarkersGaussian, change, **attributes)
-    return centred(delays, [camera.delay_s for camera in known])
+    return centred(delays, [camera.delay_s for camera in uncertainty])

@@ -123,21 +123,21 @@ def _correlations(bones: tuple[str, ...], setting: Setting) -> Float[np.ndarray,
 
 def _told(bone: str, setting: Setting) -> list[float]:
     """Return the standard deviations that the session gives for a bone. Where both sides have one length, it may name one of them."""
-    given = setting.subject.lengths_sd
-    return [given[name] for name in (bone, f"l_{bone}", f"r_{bone}") if name in given]
+    session_sd = setting.subject.lengths_sd
+    return [session_sd[name] for name in (bone, f"l_{bone}", f"r_{bone}") if name in session_sd]
 
 
 def _with_session(sd: list[float], bones: tuple[str, ...], setting: Setting) -> list[float]:
     """Return the standard deviations, overall and of each bone, that give the lengths those of the session, where it says them."""
-    given, names = setting.subject.lengths_sd, tuple(setting.schema.lengths_of_height)
-    for key in given:
+    session_sd, names = setting.subject.lengths_sd, tuple(setting.schema.lengths_of_height)
+    for key in session_sd:
         if key != OVERALL and key not in names:
             raise InputError(f"session.toml: subject.lengths_sd: '{key}': no such length of the body; {nearest(key, (OVERALL, *names))}")
-    if not given:
+    if not session_sd:
         return sd
     lengths = [_told(bone, setting) for bone in bones]
     smallest = min((max(values) for values in lengths if values), default=math.inf)
-    overall = min(given.get(OVERALL, sd[0]), MOST_COMMON * smallest)
+    overall = min(session_sd.get(OVERALL, sd[0]), MOST_COMMON * smallest)
     return [overall, *(math.sqrt(max(values) ** 2 - overall**2) if values else usual for values, usual in zip(lengths, sd[1:], strict=True))]
 
 

@@ -212,9 +212,9 @@ def prior_draws(key: Key, unknowns: tuple[Unknown, ...], count: int) -> dict[str
     return {term.name: term.mean + term.sd * piece for term, piece in zip(unknowns, pieces, strict=True)}
 
 
-def centred(unknown: Unknown, mean: Sequence[float]) -> Unknown:
-    """Return the unknown with another prior mean."""
-    return replace(unknown, mean=device_array(list(mean), unknown.mean.dtype))
+def centred(term: Unknown, mean: Sequence[float]) -> Unknown:
+    """Return an unknown with another prior mean."""
+    return replace(term, mean=device_array(list(mean), term.mean.dtype))
 
 
 def initial_values(unknowns: tuple[Unknown, ...]) -> State:

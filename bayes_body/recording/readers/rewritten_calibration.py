@@ -27,36 +27,36 @@ PARSEC = "Camera*.cal"
 type Cameras = Mapping[str, CameraSpec]
 
 
-def rewrite_calibration(source: Path, folder: Path, before: Sequence[CameraSpec], after: Sequence[CameraSpec]) -> Path:
+def rewrite_calibration(source: Path, folder: Path, imported: Sequence[CameraSpec], current: Sequence[CameraSpec]) -> Path:
     """Write a copy of a calibration with other cameras. Return its path.
 
     Args:
         source: the file or folder from which the cameras were imported.
         folder: where the copy goes, under the same name.
-        before: the session's cameras as they were imported.
-        after: the same cameras now.
+        imported: the session's cameras as they were imported.
+        current: the same cameras now.
 
     Raises:
         InputError: the calibration cannot be read, or the copy cannot be written.
     """
-    target, cameras = make_folder(folder) / source.name, {camera.name: camera for camera in after}
-    changed = {new.name for old, new in zip(before, after, strict=True) if (old.focal_px, old.centre_px) != (new.focal_px, new.centre_px)}
+    target, cameras = make_folder(folder) / source.name, {camera.name: camera for camera in current}
+    changed = {new.name for old, new in zip(imported, current, strict=True) if (old.focal_px, old.centre_px) != (new.focal_px, new.centre_px)}
     if source.is_dir() and list(source.glob(PARSEC)):
         _parsec(source, target, cameras)
     elif source.is_dir():
-        calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibration_opencv.read_opencv(source, 1.0), before))
+        calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibration_opencv.read_opencv(source, 1.0), imported))
     elif source.suffix == ".toml":
-        _toml(source, target, cameras, changed, _unit_m(read_calibration_toml(source), before))
+        _toml(source, target, cameras, changed, _unit_m(read_calibration_toml(source), imported))
     else:
         _qualisys(source, target, cameras, changed)
     return target
 
 
-def _unit_m(calibrated: Sequence[Calibrated], before: Sequence[CameraSpec]) -> float:
+def _unit_m(calibrated: Sequence[Calibrated], imported: Sequence[CameraSpec]) -> float:
     """Return the unit of the translations of a calibration, metres: the one in which they are nearest to those of the session."""
-    places = {camera.name: camera.translation_m for camera in before}
+    places = {camera.name: camera.translation_m for camera in imported}
     pairs = [(camera.translation_m, places[camera.name]) for camera in calibrated if camera.name in places]
-    return min(METRES.values(), key=lambda unit_m: sum(float(np.linalg.norm(unit_m * there - here)) for there, here in pairs))
+    return min(METRES.values(), key=lambda unit_m: sum(float(np.linalg.norm(unit_m * file_t - session_t)) for file_t, session_t in pairs))
 
 
 def _matrix(camera: CameraSpec) -> list[list[float]]:

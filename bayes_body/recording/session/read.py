@@ -156,19 +156,19 @@ def _camera_table(view: View) -> Table:
     return table
 
 
-def _add_uncertainty(table: Table, known: CameraUncertainty) -> None:
-    if known.turn_sd is not None:
-        _add(table, "turn_sd_deg", [_degrees(value) for value in known.turn_sd], "standard deviations about the camera's x, y, z")
-    if known.move_sd_m is not None:
-        _add(table, "move_sd_m", _triple(known.move_sd_m), "standard deviations along x, y, z")
-    if known.focal_sd is not None:
-        _add(table, "focal_sd", _rounded(known.focal_sd), "relative")
-    if known.centre_sd_px is not None:
-        _add(table, "centre_sd_px", [_rounded(value) for value in known.centre_sd_px], "column, row")
-    if known.delay_s:
-        _add(table, "delay_s", _rounded(known.delay_s), "seconds by which it is late against the first camera, beside its offset")
-    if known.delay_sd_s is not None:
-        _add(table, "delay_sd_s", _rounded(known.delay_sd_s), "standard deviation of the delay")
+def _add_uncertainty(table: Table, uncertainty: CameraUncertainty) -> None:
+    if uncertainty.turn_sd is not None:
+        _add(table, "turn_sd_deg", [_degrees(value) for value in uncertainty.turn_sd], "standard deviations about the camera's x, y, z")
+    if uncertainty.move_sd_m is not None:
+        _add(table, "move_sd_m", _triple(uncertainty.move_sd_m), "standard deviations along x, y, z")
+    if uncertainty.focal_sd is not None:
+        _add(table, "focal_sd", _rounded(uncertainty.focal_sd), "relative")
+    if uncertainty.centre_sd_px is not None:
+        _add(table, "centre_sd_px", [_rounded(value) for value in uncertainty.centre_sd_px], "column, row")
+    if uncertainty.delay_s:
+        _add(table, "delay_s", _rounded(uncertainty.delay_s), "seconds by which it is late against the first camera, beside its offset")
+    if uncertainty.delay_sd_s is not None:
+        _add(table, "delay_sd_s", _rounded(uncertainty.delay_sd_s), "standard deviation of the delay")
 
 
 def _metres(value: float) -> float:
@@ -247,9 +247,9 @@ def _view(table: CameraTable) -> View:
     if table.turn_sd_deg is not None:
         x, y, z = (math.radians(value) for value in table.turn_sd_deg)
         turn_sd = x, y, z
-    known = CameraUncertainty(turn_sd, table.move_sd_m, table.focal_sd, table.centre_sd_px, table.delay_s, table.delay_sd_s)
+    uncertainty = CameraUncertainty(turn_sd, table.move_sd_m, table.focal_sd, table.centre_sd_px, table.delay_s, table.delay_sd_s)
     sources = (table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
-    return View(camera, *sources, known)
+    return View(camera, *sources, uncertainty)
 
 
 def _subject(table: SubjectTable) -> Subject:

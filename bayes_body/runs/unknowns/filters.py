@@ -49,7 +49,7 @@ class Filter:
         stretch: the frames.
         runs: number of independent filters.
         kernel: the kernel of all filters. A program belongs to it.
-        ahead: the program.
+        program: the compiled program of a frame.
         estimate: the first pose.
     """
 
@@ -57,7 +57,7 @@ class Filter:
     stretch: Stretch
     runs: int
     kernel: NamedKernel
-    ahead: Ahead
+    program: Ahead
     estimate: FirstPose
 
     def model(self, part: Session) -> Model:
@@ -71,7 +71,7 @@ class Filter:
         Args:
             key: random key.
             part: from `stretch_of`.
-            model: from `model`, perhaps `held`.
+            model: from `model`, perhaps with `hold_unknowns`.
             on_frame: called after each frame with the number of frames done.
 
         Raises:
@@ -79,7 +79,7 @@ class Filter:
         """
         arriving, frames = observations(part, model, self.stretch.indices), self.stretch.frames
         return track(
-            key, part, model, self.kernel, None, self.runs, frames, lambda progress: on_frame(progress.frame), ahead=self.ahead, arriving=arriving
+            key, part, model, self.kernel, None, self.runs, frames, lambda progress: on_frame(progress.frame), ahead=self.program, arriving=arriving
         )
 
 
@@ -100,9 +100,9 @@ def prepare_filter(definition: Definition, part: Session, stretch: Stretch, runs
     model = build_model(definition, slow)
     slow, kernel = with_first_keypoints(model, slow), kernel_of(model)
     options: Any = kernel.options
-    with compiled_ahead(slow, model, kernel, options.particles, runs) as ahead:
+    with compiled_ahead(slow, model, kernel, options.particles, runs) as program:
         estimate = first_pose(model, slow, show=show)
-    return Filter(definition, stretch, runs, kernel, ahead, estimate)
+    return Filter(definition, stretch, runs, kernel, program, estimate)
 
 
 def _slow(part: Session, stretch: Stretch) -> Session:
@@ -114,7 +114,7 @@ def stretch_of(session: Session, stretch: Stretch) -> Session:
     return excerpt(session, session.frame_number(stretch.first), stretch.span)
 
 
-def held(model: Model) -> Model:
+def hold_unknowns(model: Model) -> Model:
     """Return the model with its unknowns held at their means."""
 
     def narrowed(node: object) -> object:
@@ -131,7 +131,7 @@ def expected_px(part: Session, draws: Draws) -> Float[np.ndarray, "frame camera 
 
     Args:
         part: from `stretch_of`.
-        draws: of a `held` model.
+        draws: of a model with `hold_unknowns`.
     """
     model, means = draws.model, {term.name: term.mean for term in draws.model.unknowns}
     poses = np.stack([mean_pose(frame, model)[0] for frame in draws.frames])
@@ -139,23 +139,26 @@ def expected_px(part: Session, draws: Draws) -> Float[np.ndarray, "frame camera 
     placing, rig = replace(model, body=body, unknowns=()), model.rig_in(means)
     views = []
     for camera, delay_s in enumerate(_delays(model, len(part.views))):
-        seen = poses + delay_s * _velocities(draws, poses.shape[-1]) if delay_s else poses
+        moved_poses = poses + delay_s * _velocities(draws, poses.shape[-1]) if delay_s else poses
         lens = jax.tree.map(lambda leaf, camera=camera: leaf[camera], rig)
-        pixels, in_front = (np.asarray(out) for out in _projected(lens, jnp.asarray(markers(placing, seen))))
+        pixels, in_front = (np.asarray(out) for out in _projected(lens, jnp.asarray(markers(placing, moved_poses))))
         views.append(np.where(in_front[..., None], pixels, np.nan))
     return np.stack(views, axis=1)
 
 
 def median_distances(expected: Float[np.ndarray, "frame camera marker 2"], keypoints: Float[np.ndarray, "frame camera marker 2"]) -> list[float]:
     """Return the median distance of the keypoints in each camera from where they are expected; NaN for a camera without keypoints."""
-    off, seen = np.linalg.norm(expected - keypoints, axis=-1), np.isfinite(keypoints[..., 0])
+    off, is_visible = np.linalg.norm(expected - keypoints, axis=-1), np.isfinite(keypoints[..., 0])
     off = np.where(np.isnan(off), np.inf, off)
-    return [float(np.median(off[:, camera][seen[:, camera]])) if seen[:, camera].any() else float("nan") for camera in range(seen.shape[1])]
+    return [
+        float(np.median(off[:, camera][is_visible[:, camera]])) if is_visible[:, camera].any() else float("nan")
+        for camera in range(is_visible.shape[1])
+    ]
 
 
 def _delays(model: Model, cameras: int) -> list[float]:
-    later = next((np.asarray(term.mean, float).tolist() for term in model.unknowns if term.name == DELAYS), [0.0] * (cameras - 1))
-    return [0.0, *later]
+    delays_s = next((np.asarray(term.mean, float).tolist() for term in model.unknowns if term.name == DELAYS), [0.0] * (cameras - 1))
+    return [0.0, *delays_s]
 
 
 def _velocities(draws: Draws, size: int) -> Float[np.ndarray, "frame dof"]:

@@ -25,7 +25,7 @@ from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
 from bayes_body.runs.unknowns.clocks import with_whole_frames
 from bayes_body.runs.unknowns.definition import with_unknowns
-from bayes_body.runs.unknowns.filters import expected_px, held, median_distances, prepare_filter, stretch_of
+from bayes_body.runs.unknowns.filters import expected_px, hold_unknowns, median_distances, prepare_filter, stretch_of
 from bayes_body.runs.unknowns.fitted_session import fitted_session
 from bayes_body.runs.unknowns.frames import Stretch, best_stretch, check_cameras, keypoints_of
 from bayes_body.runs.unknowns.posterior import Posterior, as_json, posteriors_of
@@ -85,15 +85,15 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         with steps_bar(len(DOING) * stretch.frames, DOING[0]) if bar else nullcontext(None) as step:
             filters = prepare_filter(definition, part, stretch, RUNS, show)
             model = filters.model(part)
-            before = filters.draws(key, part, held(model), _counting(step, 0, stretch))
+            old_draws = filters.draws(key, part, hold_unknowns(model), _counting(step, 0, stretch))
             drawn = filters.draws(key, part, model, _counting(step, 1, stretch))
             posteriors = posteriors_of(model, drawn.frames[-1])
             new = fitted_session(session, settings.out, definition, posteriors)
             new_part = stretch_of(new, stretch)
-            after = filters.draws(key, new_part, held(filters.model(new_part)), _counting(step, 2, stretch))
+            new_draws = filters.draws(key, new_part, hold_unknowns(filters.model(new_part)), _counting(step, 2, stretch))
         marker_names = model.body.markers.names
         keypoints = keypoints_of(part, marker_names)[list(stretch.indices)]
-        expected_before, expected_after = expected_px(part, before), expected_px(new_part, after)
+        expected_before, expected_after = expected_px(part, old_draws), expected_px(new_part, new_draws)
         before_px, after_px = median_distances(expected_before, keypoints), median_distances(expected_after, keypoints)
         remarks, names = [*_fitted_before(session), *remarks_of(posteriors, drawn, session)], [view.camera.name for view in session.views]
         _show(posteriors, names, before_px, after_px, remarks, show)

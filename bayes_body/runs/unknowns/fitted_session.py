@@ -64,12 +64,12 @@ def _by_marker(labels: Sequence[str], values: Float[np.ndarray, " entry"]) -> di
 
 def _moved(view: View, mean: Float[np.ndarray, " entry"], sd: Float[np.ndarray, " entry"]) -> View:
     lens = sd[MOTION:].tolist()
-    known = replace(view.uncertainty, turn_sd=tuple(sd[:3].tolist()), move_sd_m=tuple(sd[3:MOTION].tolist()))
+    uncertainty = replace(view.uncertainty, turn_sd=tuple(sd[:3].tolist()), move_sd_m=tuple(sd[3:MOTION].tolist()))
     if len(lens) in (1, 3):
-        known = replace(known, focal_sd=lens[0])
+        uncertainty = replace(uncertainty, focal_sd=lens[0])
     if len(lens) > 1:
-        known = replace(known, centre_sd_px=(lens[-2], lens[-1]))
-    return replace(view, camera=moved_spec(view.camera, mean), uncertainty=known)
+        uncertainty = replace(uncertainty, centre_sd_px=(lens[-2], lens[-1]))
+    return replace(view, camera=moved_spec(view.camera, mean), uncertainty=uncertainty)
 
 
 def _late(view: View, delay_s: float, sd_s: float) -> View:
