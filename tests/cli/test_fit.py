@@ -17,7 +17,7 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.model.unknowns.lengths import log_sd_of
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.pose2sim import import_pose2sim
@@ -188,7 +188,7 @@ def test_a_camera_that_was_moved_on_purpose(cli, pose2sim_beam, tmp_path):
         assert np.abs(np.divide(off, [*after.uncertainty.turn_sd, *after.uncertainty.move_sd_m])).max() < 2
     for name, distances in moved_content["keypoints_px"].items():
         assert distances["after"] == pytest.approx(still_content["keypoints_px"][name]["after"], abs=0.5)
-    read = read_calibration_toml(next((tmp_path / "still_fit" / "calibration").glob("*.toml")))
+    read = read_qualisys(tmp_path / "still_fit" / "calibration" / "Calib.qca.txt")
     for camera, view in zip(read, still.views, strict=True):
         np.testing.assert_allclose(camera.rotation, view.camera.rotation, atol=1e-9)
         np.testing.assert_allclose(camera.translation_m, view.camera.translation_m, atol=1e-8)
