@@ -5,8 +5,8 @@ where the difference of the runs shows how much is chance; and with the word of 
 """
 
 import json
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,17 +111,23 @@ def fit(session: Session, settings: FitSettings, show: Show, bar: bool) -> dict[
         save_session(new)
         middle = stretch.frames // 2
         states = [Expected("before", expected_before[middle], before_px), Expected("after", expected_after[middle], after_px)]
-        try:
+        with _left_out(PICTURE, show):
             draw_fit(settings.out / PICTURE, part, stretch.indices[middle], marker_names, keypoints[middle], states)
-        except InputError as error:
-            # The result needs no picture.
-            show(warning_line(f"{PICTURE} is not drawn: {error}"))
         if (calibration := session.calibration_path) is not None:
-            before_specs, specs = ([view.camera for view in recording.views] for recording in (session, new))
-            show(
-                f"calibration {rewrite_calibration(calibration, settings.out / CALIBRATION, before_specs, specs)}: the new cameras for other programs"
-            )
+            imported, current = ([view.camera for view in recording.views] for recording in (session, new))
+            with _left_out(f"{CALIBRATION}/", show):
+                path = rewrite_calibration(calibration, settings.out / CALIBRATION, imported, current)
+                show(f"calibration {path}: the new cameras for other programs")
     return content
+
+
+@contextmanager
+def _left_out(name: str, show: Show) -> Iterator[None]:
+    """Within it, an error leaves out a file that the new session does not need."""
+    try:
+        yield
+    except InputError as error:
+        show(warning_line(f"{name} is not written: {error}"))
 
 
 def _frames_line(session: Session, stretch: Stretch) -> str:
