@@ -75,6 +75,9 @@ def rasterise(
     size = (width * supersample, height * supersample)
     corners = ((visible.corners - (first_column, top) + 0.5) * supersample - 0.5).astype(np.float32)
     owner, covered = in_front(spans(corners, size), planes(corners, visible.depth), size)
+    # The window has a margin, and a small or distant mesh may lie between the samples.
+    if not covered.any():
+        return picture, alpha
     shade = _shaded(mesh, visible.number, light)
     samples = _painted(owner, covered, planes(corners, shade), mesh.colours[visible.number])
     pixels = cv2.resize(samples, (width, height), interpolation=cv2.INTER_AREA)

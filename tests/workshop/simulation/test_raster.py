@@ -1,5 +1,7 @@
 """The simulator's own camera and rasteriser: against OpenCV's projection, exact areas, no cracks, the right way round, nothing from behind."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -200,6 +202,19 @@ def test_nothing_comes_from_behind_the_camera(mesh):
     assert alpha.sum() == 0 and (picture == GREY).all()
     beside = camera((0.3, 3.0, 1.2), (5.0, 3.0, 1.0))
     assert rasterise(mesh, beside, GREY)[1].sum() == 0
+
+
+def test_what_touches_the_picture_but_no_sample_is_not_drawn(mesh):
+    spec = camera((0, 0, 1), (1, 0, 1))
+    between = Mesh(_board(-0.001, 0.001, 2.0), SQUARE, np.full((2, 3), 0.5))
+    # The column farthest to the left is beyond the last sample, at the picture's right edge: inside the window's margin.
+    columns = facing(mesh, IN_FRONT).corners[..., 0]
+    left, top = IN_FRONT.centre_px
+    aside = replace(IN_FRONT, centre_px=(left + IN_FRONT.size_px[0] - 0.4 - columns.min(), top))
+    for body, seen_by in ((between, spec), (mesh, aside)):
+        assert facing(body, seen_by).number.size
+        picture, alpha = rasterise(body, seen_by, GREY)
+        assert alpha.sum() == 0 and (picture == GREY).all()
 
 
 @pytest.mark.parametrize("place", [(0.25, 0.05, 1.2), (0.6, 0.1, 1.3), (0.25, 0.3, 0.3)])
