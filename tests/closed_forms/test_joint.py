@@ -110,6 +110,34 @@ def test_draws_have_the_covariance_of_the_kalman_smoother_across_frames():
     assert np.abs(np.cov(draws.T) / np.outer(sd, sd) - correlation).max() < 5.5 * np.sqrt(2 / (count / 2))
 
 
+def test_what_hardly_moves_keeps_its_variance_in_single_precision():
+    """Unknowns of a body: the noise of a frame is a thousandth of the prior, and differences of precisions would lose what frames add."""
+    frames, rng = 100, np.random.default_rng(1)
+    noise = np.array([1e-3, 3e-3, 0.3])
+    on = np.diag(np.exp(-(noise**2) / 2))
+    on[2, 0] = 0.5
+    looks = rng.normal(size=(frames, 3)) * 0.3
+    precision = looks[:, :, None] * looks[:, None]
+    precision[0] += np.eye(3)
+    links = np.array([[1.0, -1.0], [-1.0, 1.0]]) * (noise**-2.0)[None, :, None, None] * np.ones((frames - 1, 1, 1, 1))
+    gradient = rng.normal(size=(frames, 3))
+    whole = np.zeros((frames, 3, frames, 3))
+    for t in range(frames):
+        whole[t, :, t] += precision[t]
+    for t in range(1, frames):
+        row = np.concatenate([-on, np.eye(3)], axis=1)
+        whole[t - 1 : t + 1, :, t - 1 : t + 1] += (row.T @ (noise[:, None] ** -2.0 * row)).reshape(2, 3, 2, 3)
+    covariance = np.linalg.inv(whole.reshape(3 * frames, -1))
+    slopes = np.broadcast_to(on, (frames - 1, 3, 3))
+    arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (precision, elimination.Couplings(links, slopes), gradient))
+    roots, couplings, y = elimination.eliminated(*arguments)
+    sd = np.sqrt(np.diagonal(covariance)).reshape(frames, 3)
+    marginals = np.sqrt(np.diagonal(np.asarray(elimination.marginal_covariances(roots, couplings)), axis1=1, axis2=2))
+    assert np.abs(marginals / sd - 1).max() < 1e-3
+    mean = (covariance @ gradient.ravel()).reshape(frames, 3)
+    assert np.abs((np.asarray(elimination.solve_back(roots, couplings, y)) - mean) / sd).max() < 1e-3 * np.abs(mean / sd).max()
+
+
 def test_all_weights_are_equal_where_all_is_normal():
     solved, frames, start = linear()
     ratios = log_ratios(frames, solved, solved.draw(jax.random.key(1), 50), start)

@@ -38,7 +38,7 @@ from bayes_body.density.factor import Factor, State, Transition, nothing_carried
 from bayes_body.density.frames import Frames
 from bayes_body.density.gaussian_view import joined, split
 from bayes_body.kernels.batching import on_first_device, one_device, over_particles
-from bayes_body.kernels.paths.joint.elimination import eliminated, marginal_covariances, solve_back
+from bayes_body.kernels.paths.joint.elimination import Couplings, eliminated, marginal_covariances, solve_back
 from bayes_body.kernels.paths.joint.limits import Sites, limits, updated
 from bayes_body.kernels.paths.joint.terms import Terms, base_of, terms_near
 
@@ -196,8 +196,7 @@ def _stepped(fixed: _Fixed, search: _Search) -> _Search:
     path, terms, sites = jax.tree.map(lambda new, old: jnp.where(is_better, new, old), taken, search[:3])
     eased = jnp.where(search.damping > NONE, EASED * search.damping, 0.0)
     damping = jnp.where(is_better, eased, jnp.maximum(RAISED * search.damping, LEAST))
-    gradient, diagonal, below = _assembled(path, terms, sites, first)
-    roots, couplings, y = eliminated(diagonal * (1 + damping * jnp.eye(path.shape[1], dtype=path.dtype)), below, gradient)
+    roots, couplings, y, gradient = _eliminated(path, terms, sites, first, damping)
     move = solve_back(roots, couplings, y)
     variances = jnp.diagonal(marginal_covariances(roots, couplings), axis1=1, axis2=2)
     next_sites = updated(sites, move, variances, fixed.low - path, fixed.high - path).recentred(move)
@@ -208,8 +207,7 @@ def _stepped(fixed: _Fixed, search: _Search) -> _Search:
 @jax.jit
 def _ended(fixed: _Fixed, search: _Search) -> JointPath:
     """Return the Gaussian about the best path, without damping."""
-    gradient, diagonal, below = _assembled(search.path, search.terms, search.sites, fixed.first)
-    roots, couplings, y = eliminated(diagonal, below, gradient)
+    roots, couplings, y, _ = _eliminated(search.path, search.terms, search.sites, fixed.first)
     mean = search.path + solve_back(roots, couplings, y)
     about = (search.path, roots, couplings, search.terms, search.sites)
     return JointPath(mean, *about, fixed.low, fixed.high, search.steps, search.promise)
@@ -280,8 +278,11 @@ def _gain(search: _Search, next_terms: Terms, first: FirstFrame) -> Scalar:
     return jnp.sum(frames) + jnp.sum(links) + prior + jnp.sum(search.sites.value(search.move))
 
 
-def _assembled(path: Array, terms: Terms, sites: Sites, first: FirstFrame) -> tuple[Array, Array, Array]:
-    """Return the gradient, and the blocks D and O of the precision; the first O is 0."""
+def _eliminated(path: Array, terms: Terms, sites: Sites, first: FirstFrame, damping: Scalar | float = 0.0) -> tuple[Array, Array, Array, Array]:
+    """Return the roots, the couplings and the reduced right side of the path's precision, and its gradient.
+
+    `damping` is a share of the diagonal blocks' diagonals, and is added to them.
+    """
     links, every = terms.links, jnp.arange(path.shape[1])
     gradient = (
         (terms.gradient + sites.slope)
@@ -292,11 +293,11 @@ def _assembled(path: Array, terms: Terms, sites: Sites, first: FirstFrame) -> tu
         .at[0]
         .add(-first.precision @ (path[0] - first.mean))
     )
-    back = jnp.einsum("tki,tk,tkj->tij", links.slope, links.blocks[..., 1, 1], links.slope)
-    diagonal = terms.precision.at[:, every, every].add(sites.precision).at[1:, every, every].add(links.blocks[..., 0, 0])
-    diagonal = diagonal.at[:-1].add(back).at[0].add(first.precision)
-    below = jnp.zeros_like(diagonal).at[1:].set(links.blocks[..., 0, 1, None] * links.slope)
-    return gradient, diagonal, below
+    precision = terms.precision.at[:, every, every].add(sites.precision).at[0].add(first.precision)
+    by_centres = jnp.sum(links.slope**2 * links.blocks[..., 1, 1, None], axis=1)
+    diagonal = jnp.diagonal(precision, axis1=1, axis2=2).at[1:].add(links.blocks[..., 0, 0]).at[:-1].add(by_centres)
+    precision = precision.at[:, every, every].add(damping * diagonal)
+    return *eliminated(precision, Couplings(links.blocks, links.slope), gradient), gradient
 
 
 def check_path(transition: Transition, factors: Sequence[Factor], unlimited: Transition, form: State) -> None:
