@@ -58,6 +58,8 @@ class Term(NamedTuple):
         runs_together: of a kernel: whether the devices share the runs. Otherwise they share the particles of each run.
         few_cameras: of a kernel: what is taken instead with few cameras; None if it serves any number.
         smoothed_by: of a kernel: options of the smoother for its runs that differ from the smoother's defaults.
+        by_particles: of a kernel: whether what a frame predicts for the next one is a mixture about its particles, or a function of its options that
+            says so. Of what hardly moves all particles then descend from a few.
     """
 
     options: type[BaseModel]
@@ -71,6 +73,11 @@ class Term(NamedTuple):
     runs_together: bool = False
     few_cameras: FewCameras | None = None
     smoothed_by: Mapping[str, Any] = MappingProxyType({})
+    by_particles: bool | Callable[[Any], bool] = False
+
+    def predicts_by_particles(self, options: Any) -> bool:
+        """Return whether a kernel with these options predicts by a mixture about its particles."""
+        return self.by_particles(options) if callable(self.by_particles) else self.by_particles
 
     def evidence(self, options: BaseModel) -> tuple[str, ...]:
         """Return what a likelihood with these options compares the body with."""
@@ -131,6 +138,7 @@ def register(
     runs_together: bool = False,
     few_cameras: FewCameras | None = None,
     smoothed_by: Mapping[str, Any] = MappingProxyType({}),
+    by_particles: bool | Callable[[Any], bool] = False,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a build function under a name in a room. Use it as a decorator.
 
@@ -151,6 +159,8 @@ def register(
         runs_together: for a kernel of few particles, whether the devices share the runs and not the particles of each run.
         few_cameras: for a kernel, what is taken instead by default if a recording has too few cameras for it.
         smoothed_by: for a kernel, options of the smoother for its runs that differ from the smoother's defaults.
+        by_particles: for a kernel, whether it predicts by a mixture about its particles, or a function of its options that says so. Then there is a
+            warning for a model with unknowns.
 
     Raises:
         InputError: there is no such room or observation, the name is taken, or the options are not a schema.
@@ -158,7 +168,8 @@ def register(
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
         _check(room, name, options, build)
-        term = Term(options, build, note, reads, samples_posterior, recovers, markov_move, instead, runs_together, few_cameras, smoothed_by)
+        of_kernel = (samples_posterior, recovers, markov_move, instead, runs_together, few_cameras, smoothed_by, by_particles)
+        term = Term(options, build, note, reads, *of_kernel)
         terms: dict[Place, Term] = {(room, name): term}
         if observation is not None:
             terms["observation", name] = find("observation", observation)

@@ -91,12 +91,12 @@ class GaussianView(NamedTuple):
 
     def state(self, ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with unread variables at their mean. It takes nothing from its ancestor."""
-        unread = {} if self.unread is None else self.unread.position(self._noise(position))
+        unread = {} if self.unread is None else self.unread.position(self.whitened(position))
         return self._complete_state(ancestor, {**position, **unread})
 
     def completed(self, noise: Float[Array, " unread"], ancestor: Index, position: State) -> State:
         """Return the whole state at a position, with a draw of the unread variables, made from standard normal noise."""
-        unread = {} if self.unread is None else self.unread.position(self._noise(position), noise)
+        unread = {} if self.unread is None else self.unread.position(self.whitened(position), noise)
         return self._complete_state(ancestor, {**position, **unread})
 
     @property
@@ -107,7 +107,8 @@ class GaussianView(NamedTuple):
     def _complete_state(self, ancestor: Index, position: State) -> State:
         return self.density.transition.state(self.density.ancestor(ancestor), self.coordinates.constrain(position))
 
-    def _noise(self, position: State) -> Float[Array, " dof"]:
+    def whitened(self, position: State) -> Float[Array, " dof"]:
+        """Return the whitened coordinates of a position: the inverse of `draw`."""
         return product(self.inverse_root, joined(position) - self.mean)
 
     def position(self, state: State) -> dict[str, Array]:
@@ -121,7 +122,7 @@ class GaussianView(NamedTuple):
         """Return log π_αβ(u) up to a constant, and both tempered terms. There is no Jacobian, because the Gaussian is a density over u."""
         state, previous = self.state(ancestor, position), self.density.ancestor(ancestor)
         terms = LogTerms(self.density.log_likelihood(state, previous), self.density.log_potential(state, previous))
-        noise = self._noise(position)
+        noise = self.whitened(position)
         prior = -0.5 * jnp.sum(noise * noise) + self.density.log_constraint(state, previous)
         potentials = potential_power * terms.potential if self.density.has_potentials else 0.0
         return prior + potentials + tempered(inverse_temperature, terms.likelihood), terms

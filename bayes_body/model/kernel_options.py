@@ -1,6 +1,6 @@
 """The options of a run's kernel: from the definition, from a continued run, and from the command line."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -78,6 +78,23 @@ def kernel_sentences(definition: Definition, kind: str, cameras: int) -> tuple[s
         line = f"kernel     {kind}, because with {seeing} {few.reason}; --kernel names another."
     unfit = few_cameras(kind, cameras)
     return line, f"the kernel {kind} with {seeing}: {unfit.reason}; use --kernel {unfit.kernel}." if unfit else ""
+
+
+def unknowns_sentence(kind: str, options: Any, unknowns: Sequence[str]) -> str:
+    """Return a warning if a kernel with these options follows unknowns by its particles; empty if it does not.
+
+    Args:
+        kind: the kernel's name.
+        options: its validated options.
+        unknowns: the names of the model's unknowns.
+    """
+    term = find("kernel", kind)
+    if not unknowns or not term.predicts_by_particles(options):
+        return ""
+    followed = ", ".join(name.replace("_", " ") for name in unknowns)
+    consequence = "after some frames all of them descend from a few, and what hardly moves has too narrow an interval"
+    itself = "--set prediction=gaussian" if "prediction" in term.options.model_fields else "--kernel tempered --set prediction=gaussian"
+    return f"the kernel {kind} follows the unknowns ({followed}) by its particles: {consequence}; use {itself}, or --kernel laplace."
 
 
 def check_options(kind: str, changes: Mapping[str, Any]) -> None:

@@ -27,7 +27,7 @@ from bayes_body.initial import (
 from bayes_body.initial.search.automatic import check_pictures
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.model.kernel_options import kernel_of, kernel_options, kernel_sentences
+from bayes_body.model.kernel_options import kernel_of, kernel_options, kernel_sentences, unknowns_sentence
 from bayes_body.recording.session.read import load_session
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics import true_markers
@@ -191,9 +191,10 @@ def begin(
         record = {**record, "definition": before["definition"]}
     wanted = chosen.frames or session.frames
     remarks = check_pairs(session, model, wanted, show, bar)
-    if warning:
-        show(warning_line(warning))
-        remarks = [warning, *remarks]
+    kernel_warnings = [sentence for sentence in (warning, unknowns_sentence(kind, options, [term.name for term in model.unknowns])) if sentence]
+    for sentence in kernel_warnings:
+        show(warning_line(sentence))
+    remarks = [*kernel_warnings, *remarks]
     kernel = kernel_of(kind, options)
     is_slow = source in ("fitted", "searched")
     compiling = compiled_ahead(session, model, kernel, options.particles, chosen.runs) if is_slow and ahead is None else nullcontext(ahead)

@@ -17,7 +17,7 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.kernel import Kernel
 from bayes_body.kernels.paths.smoother import JointOptions, Smoother, paths_options
 from bayes_body.model.build import Model
-from bayes_body.model.kernel_options import kernel_sentences
+from bayes_body.model.kernel_options import kernel_sentences, unknowns_sentence
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import frame_fit, result_fit
 from bayes_body.results.metrics.plausibility import fit_figures
@@ -57,7 +57,7 @@ def track(
     """Filter a session, and warn of what makes the result doubtful.
 
     The sentences are those that the command line prints at its end. They are in `warnings` of the result, and each is shown as a `RunWarning`. A
-    warning before the run names settings of the model's definition that the kernel leaves out.
+    warning before the run names settings of the model's definition that the kernel leaves out, or unknowns that it follows by its particles.
 
     Args:
         key: random key of the whole run; each filter and frame folds its own key from it.
@@ -80,9 +80,9 @@ def track(
     """
     _check_order(key, session, model, kernel)
     bar = sys.stderr.isatty()
-    left_out = "" if kernel is None else settings_left_out(model, kernel, particles)
-    if left_out:
-        warnings.warn(left_out, RunWarning, stacklevel=2)
+    for sentence in () if kernel is None else (settings_left_out(model, kernel, particles), _unknowns_warning(model, kernel)):
+        if sentence:
+            warnings.warn(sentence, RunWarning, stacklevel=2)
     with progress_bar(done=len(into or ())) if bar and on_frame is None else nullcontext(on_frame) as show:
         draws = tracking.track(key, session, model, kernel, particles, runs, frames, show, into, ahead, recovery)
     draws = replace(draws, warnings=tuple(run_sentences(session, draws, bar)))
@@ -137,6 +137,12 @@ def _kernel_warning(draws: Draws) -> list[str]:
     """Return a warning if the kernel needs more cameras than the recording has."""
     warning = kernel_sentences(draws.model.definition, draws.kernel, draws.model.cameras)[1] if draws.kernel in names("kernel") else ""
     return [warning] if warning else []
+
+
+def _unknowns_warning(model: Model, kernel: Kernel) -> str:
+    """Return a warning if a kernel of the registry follows the model's unknowns by its particles; else nothing."""
+    kind, options = getattr(kernel, "kind", None), getattr(kernel, "options", None)
+    return unknowns_sentence(kind, options, [term.name for term in model.unknowns]) if kind in names("kernel") and options is not None else ""
 
 
 def _check_order(key: object, session: object, model: object, kernel: object) -> None:

@@ -87,7 +87,11 @@ def _on_both(cases, first):
     return skew + plain
 
 
-@pytest.mark.parametrize(("posterior", "options"), _on_both(VARIANTS, "hmc"), indirect=["posterior"])
+# By one Gaussian, which this prediction is.
+GAUSSIAN = pytest.param(conjugate, {"prediction": "gaussian", "carry": "draws"}, id="conjugate-gaussian", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("posterior", "options"), [*_on_both(VARIANTS, "hmc"), GAUSSIAN], indirect=["posterior"])
 def test_means_and_spreads_are_those_of_the_posterior(posterior, target, options):
     draws, info = _means(target.density, **options)
     assert not info.lost and 0.3 < float(info.acceptance_rate[0]) <= 1
@@ -389,6 +393,7 @@ def test_momenta_of_the_inverted_mass_are_found_out(monkeypatch):
         ({"chains": 4, "particles": 8, "target_acceptance": 0.7, "burn_in": 0}, "give a burn_in"),
         ({"chains": 4, "particles": 8, "step": 0.0}, "step"),
         ({"chains": 4, "particles": 8, "sampler": "gibbs"}, "sampler"),
+        ({"chains": 4, "particles": 8, "prediction": "gaussian", "carry": "means"}, 'needs carry = "draws"'),
     ],
 )
 def test_options_that_cannot_be_are_said(options, words):

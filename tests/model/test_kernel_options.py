@@ -6,7 +6,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.base.registry import names
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.model.kernel_options import kernel_options, kernel_sentences
+from bayes_body.model.kernel_options import kernel_options, kernel_sentences, unknowns_sentence
 
 
 def test_the_definition_s_kernel_has_the_definition_s_options():
@@ -84,3 +84,22 @@ def test_the_choice_is_said_and_a_kernel_for_more_cameras_is_warned_of():
     line, warning = kernel_sentences(keypoints, "laplace", 1)
     assert not line and warning.startswith("the kernel laplace with 1 camera: a limb may be bent") and warning.endswith("use --kernel tempered.")
     assert kernel_sentences(load_definition("silhouettes"), "tempered", 1) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "remedy"),
+    [
+        ("sir", {}, "use --kernel tempered --set prediction=gaussian, or --kernel laplace"),
+        ("annealed", {}, "use --kernel tempered --set prediction=gaussian, or --kernel laplace"),
+        ("hmc", {}, "use --set prediction=gaussian, or --kernel laplace"),
+        ("hmc", {"prediction": "gaussian"}, ""),
+        ("tempered", {"prediction": "particles"}, "use --set prediction=gaussian, or --kernel laplace"),
+        ("tempered", {"prediction": "gaussian"}, ""),
+        ("laplace", {}, ""),
+    ],
+)
+def test_a_kernel_that_follows_unknowns_by_its_particles_is_warned_of(kind, changes, remedy):
+    _, options = kernel_options(load_definition("keypoints"), kind, changes)
+    sentence = unknowns_sentence(kind, options, ["lengths", "keypoint_offsets"])
+    assert (remedy in sentence and f"the kernel {kind} follows the unknowns (lengths, keypoint offsets)" in sentence) if remedy else not sentence
+    assert not unknowns_sentence(kind, options, [])

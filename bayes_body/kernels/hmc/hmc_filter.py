@@ -11,6 +11,8 @@ They have equal weight and are ordered by chain.
 If a likelihood reads the previous frame, like image motion, the sum over ancestors would cost one evaluation of the images for each. Then the chains
 run on the *extended* view: each has an ancestor, which a Gibbs step redraws among `candidates` before each trajectory.
 
+With `prediction = "gaussian"`, the mixture is replaced by one Gaussian (kernels/hmc/gaussian.py).
+
 `carry` chooses the components of the next frame's mixture. They are either the means of the chains, as in the paper, one component per chain, or the
 draws themselves, each with an ancestor drawn from $p(i \mid s_t)$. Means keep only the spread between chains, not that of the posterior. A filter
 with one chain treats the previous frame as known exactly.
@@ -27,15 +29,17 @@ from jaxtyping import Array, Float, Int
 from pydantic import Field, model_validator
 
 from bayes_body.base.registry import register
-from bayes_body.base.shapes import Index, Key
+from bayes_body.base.shapes import Flag, Index, Key, Scalar
 from bayes_body.base.toml.read import validate
 from bayes_body.base.toml.schema import Count, Positive, Schema, Share
 from bayes_body.density.density import Density, Unconstrained
 from bayes_body.density.factor import Particles, State, Transition
-from bayes_body.density.kernel import FilterInfo, Kernel
+from bayes_body.density.gaussian_view import GaussianView
+from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo, Kernel
 from bayes_body.density.spaces import Flat
 from bayes_body.kernels.batching import axes_of, over_particles
 from bayes_body.kernels.hmc.adaptation import FEWEST
+from bayes_body.kernels.hmc.gaussian import NOISE, gaussian_mass, gaussian_starts, gaussian_states, gaussian_target
 from bayes_body.kernels.hmc.hamiltonian import Chain, Sampler, Schedule, chain_figures, effective_draws, run_chain
 from bayes_body.kernels.hmc.mass import correlated, inverse_mass
 from bayes_body.kernels.hmc.starts import (
@@ -94,6 +98,9 @@ class Options(Schema):
     """how the starts are chosen: by weight (`"importance"`), or by five layers of an annealed filter, which keeps more modes (`"annealing"`)."""
     starts: Annotated[int, Field(strict=True, ge=0)] = 100
     """[draws] from the prediction; the chains' starts are chosen among them; at least as many as chains."""
+    prediction: Literal["particles", "gaussian"] = "particles"
+    """what the frame before predicts: `"particles"`, the mixture about what it carries on, or `"gaussian"`, one Gaussian with the mean and covariance
+    of that mixture. Take the latter for a model with `[[unknown]]`."""
     carry: Carry = "draws"
     """what the next frame starts from: the `"draws"`, or the `"means"` of the chains, as in the paper."""
     candidates: Count = 8
@@ -107,6 +114,8 @@ class Options(Schema):
             raise ValueError("target_acceptance without burn_in: the step is tuned in burn-in; give a burn_in, such as 50")
         if self.mass == "adapted" and self.burn_in < FEWEST:
             raise ValueError(f"burn_in = {self.burn_in} is too short to estimate the mass matrix; give at least {FEWEST}, such as 24")
+        if self.prediction == "gaussian" and (self.carry, self.starts_by) != ("draws", "importance"):
+            raise ValueError('prediction = "gaussian" needs carry = "draws" and starts_by = "importance"; leave them out')
         return self
 
 
@@ -157,6 +166,8 @@ class _Filter:
     def sample(self, key: Key, density: Density, count: int) -> tuple[Particles, FilterInfo]:
         """Return `count` draws of a frame's posterior. The previous frame's particles in the density define the prediction mixture."""
         check_gradients(density, "the kernel 'hmc'")
+        if self.options.prediction == "gaussian":
+            return self._sample_gaussian(key, density, count)
         start_key, chain_key, ancestor_key = jax.random.split(key, 3)
         length = self._length(count)
         chains = -(-count // length)
@@ -173,16 +184,55 @@ class _Filter:
         draws, ancestors = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], (ran.positions, ran.ancestors))
         states, ancestors = self._states(ancestor_key, draws, target) if ancestors is None else (whole_states(draws, ancestors, target), ancestors)
         by_dof = effective_draws(_reported(target, ran.positions))
-        ess = jnp.min(by_dof)
+        return self._result(states, ancestors, ran, by_dof, length, begin.log_evidence, begin.lost, begin.evaluations)
+
+    def _sample_gaussian(self, key: Key, density: Density, count: int) -> tuple[Particles, FilterInfo]:
+        """Return draws of the posterior whose prediction is one Gaussian; they have no ancestors."""
+        start_key, chain_key, state_key = jax.random.split(key, 3)
+        length = self._length(count)
+        chains = -(-count // length)
+        begin = gaussian_starts(start_key, density, max(self.options.starts, chains), chains, self.resample)
+        batch = -(-chains // jax.device_count())
+        chain_axes = axes_of(chains, batch, CHAINS) if self.options.mass == "adapted" else ()
+        checked = self.options.sampler != "nuts" and not chain_axes
+
+        def run(key_and_start: tuple[Key, State], view: GaussianView) -> Chain:
+            mass = gaussian_mass(view, key_and_start[1], self.options.mass != "curvature")
+            step = jnp.asarray(self.options.step, mass.dtype)
+            return run_chain(*key_and_start, gaussian_target(view), step, mass, self._schedule(length), chain_axes)
+
+        ran: Chain = over_particles(run, (jax.random.split(chain_key, chains), begin.positions), begin.view, batch, checked, CHAINS)
+        noise = ran.positions[NOISE]
+        drawn = gaussian_states(state_key, noise.reshape(-1, noise.shape[-1]), begin.view)
+        positions = jax.vmap(lambda state: ravel_pytree(begin.view.coordinates.unconstrain(state))[0])(drawn)
+        by_dof = effective_draws(positions.reshape(chains, length, -1))
+        states = jax.tree.map(lambda leaf: leaf[:count], dict(drawn))
+        ancestors = jnp.full((count,), NO_ANCESTOR, jnp.int32)
+        evaluations = max(self.options.starts, chains) + 2 * chains * noise.shape[-1]
+        return self._result(states, ancestors, ran, by_dof, length, begin.log_evidence, begin.lost, evaluations)
+
+    def _result(
+        self,
+        states: State,
+        ancestors: Int[Array, " particle"],
+        ran: Chain,
+        by_dof: Float[Array, " entry"],
+        length: int,
+        log_evidence: Scalar,
+        lost: Flag,
+        evaluations: Any,
+    ) -> tuple[Particles, FilterInfo]:
+        """Return the draws of chains of a length, and what they say of themselves. `evaluations` are those before the chains."""
+        ess, count = jnp.min(by_dof), ancestors.shape[0]
         info = FilterInfo(
             ancestors=ancestors,
             ess=ess,
             survival_rate=(ess / count)[None],
             inverse_temperatures=jnp.ones((1,), ess.dtype),
-            log_evidence=begin.log_evidence,
-            lost=begin.lost,
+            log_evidence=log_evidence,
+            lost=lost,
             acceptance_rate=jnp.mean(ran.acceptance)[None],
-            evaluations=begin.evaluations + jnp.sum(ran.gradients),
+            evaluations=evaluations + jnp.sum(ran.gradients),
             markov=chain_figures(ran) | {"ess": by_dof, "length": jnp.asarray(length, jnp.int32)},
         )
         return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
@@ -192,9 +242,9 @@ class _Filter:
         initialise = by_tempering if target.density.has_potentials else initialise
         return initialise(key, target, max(self.options.starts, chains), chains, self.resample)
 
-    def _chain(self, length: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Unconstrained], Chain]:
+    def _schedule(self, length: int) -> Schedule:
         options = self.options
-        schedule = Schedule(
+        return Schedule(
             draws=length,
             burn_in=options.burn_in,
             thinning=options.thinning,
@@ -204,6 +254,9 @@ class _Filter:
             target_acceptance=options.target_acceptance,
             adapts_mass=options.mass == "adapted",
         )
+
+    def _chain(self, length: int, axes: tuple[str, ...]) -> Callable[[tuple[Key, Start], Unconstrained], Chain]:
+        options, schedule = self.options, self._schedule(length)
 
         def run(key_and_start: tuple[Key, Start], target: Unconstrained) -> Chain:
             key, start = key_and_start
@@ -288,7 +341,7 @@ def _markov_move(options: Options) -> Any:
     return move_of_hmc(options)
 
 
-@register("kernel", "hmc", Options, samples_posterior=True, markov_move=_markov_move)
+@register("kernel", "hmc", Options, samples_posterior=True, markov_move=_markov_move, by_particles=lambda options: options.prediction == "particles")
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return _Filter(options).frame

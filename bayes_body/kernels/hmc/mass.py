@@ -51,7 +51,7 @@ def inverse_mass(target: Unconstrained, position: State, previous: State, is_den
     variances = ravel_pytree({name: jnp.asarray(distribution.variance) for name, distribution in density.transition.conditional(previous).items()})[0]
     if density.has_potentials or not isinstance(target.coordinates, Coordinates):
         return _of_target(target, position, previous, variances, is_dense)
-    curvature = _finite(offered(density, sampled, previous)) + _finite(differenced(density, sampled, previous, variances))
+    curvature = finite(offered(density, sampled, previous)) + finite(differenced(density, sampled, previous, variances))
     slope, bend = (ravel_pytree(parts)[0] for parts in _slopes_and_bends(target.coordinates, position))
     prior = slope * slope / variances + bend
     if not is_dense:
@@ -73,14 +73,14 @@ def _of_target(target: Unconstrained, position: State, previous: State, variance
         return density.log_joint(density.transition.state(previous, sampled), previous)[0] + target.coordinates.log_determinant(unravel(x))
 
     unit = jnp.sqrt(variances)
-    relative = unit[:, None] * _finite(_hessian(jax.grad(log_density), flat, DIFFERENCE * unit)) * unit
+    relative = unit[:, None] * finite(hessian(jax.grad(log_density), flat, DIFFERENCE * unit)) * unit
     if not is_dense:
         return variances / jnp.maximum(jnp.diagonal(relative), LEAST)
     values, vectors = jnp.linalg.eigh(relative)
     return unit[:, None] * ((vectors / jnp.maximum(values, LEAST)) @ vectors.T) * unit
 
 
-def _hessian(gradient: Callable[[Array], Array], position: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
+def hessian(gradient: Callable[[Array], Array], position: Float[Array, " dof"], reach: Float[Array, " dof"]) -> Float[Array, "dof dof"]:
     """Return minus the derivatives of a gradient, from its differences on both sides, made symmetric."""
 
     def row(number: Array) -> Array:
@@ -92,7 +92,8 @@ def _hessian(gradient: Callable[[Array], Array], position: Float[Array, " dof"],
     return (rows + rows.T) / 2
 
 
-def _finite(matrix: Array) -> Array:
+def finite(matrix: Array) -> Array:
+    """Return a matrix with 0 in place of what is not finite."""
     return jnp.where(jnp.isfinite(matrix), matrix, 0.0)
 
 
@@ -140,7 +141,7 @@ def differenced(density: Density, sampled: State, previous: State, variances: Fl
     def gradient(values: Array) -> Array:
         return jax.grad(lambda v: density.log_likelihood_of(names, density.transition.state(previous, unravel(v)), previous))(values)
 
-    return _hessian(gradient, flat, DIFFERENCE * jnp.sqrt(variances))
+    return hessian(gradient, flat, DIFFERENCE * jnp.sqrt(variances))
 
 
 def correlated(

@@ -166,7 +166,7 @@ def _power_for_survival(log_likelihood: LogWeights, log_constraint: LogWeights, 
 NOTE = "a mode seeker: it finds the pose, but the spread of its particles does not measure uncertainty; coverage and evidence are left out."
 
 
-@register("kernel", "annealed", Options, NOTE, samples_posterior=False)
+@register("kernel", "annealed", Options, NOTE, samples_posterior=False, by_particles=True)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(options.layers, options.survival_rate, options.crossover_rate, options.resampling)

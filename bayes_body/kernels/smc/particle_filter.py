@@ -69,7 +69,7 @@ def _markov_move(options: Options) -> Any:
     return move_of_sir(options)
 
 
-@register("kernel", "sir", Options, samples_posterior=True, markov_move=_markov_move, instead="use --kernel tempered")
+@register("kernel", "sir", Options, samples_posterior=True, markov_move=_markov_move, instead="use --kernel tempered", by_particles=True)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(options.resampling)

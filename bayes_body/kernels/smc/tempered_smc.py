@@ -309,7 +309,9 @@ def _markov_move(options: Options) -> Any:
     return move_of_tempered(options)
 
 
-@register("kernel", "tempered", Options, samples_posterior=True, markov_move=_markov_move)
+@register(
+    "kernel", "tempered", Options, samples_posterior=True, markov_move=_markov_move, by_particles=lambda options: options.prediction == "particles"
+)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return build_kernel(**options.model_dump(exclude={"particles"}))
