@@ -21,8 +21,8 @@ HIPS, KNEES = ("l_hip_y", "r_hip_y"), ("l_knee", "r_knee")
 def test_flexions_are_right_because_lengths_and_cameras_are_unknown(tmp_path):
     movement = movement_of(shipped_walk(FRAMES + 2 * MARGIN, 3), FPS)
     shorter = Spread(bones=0.0, table={**OTHER_TABLE, "thigh": 0.94, "calf": 0.92})
-    # The keypoints are good, and the model knows that they are. Of three seeds, this one has the largest contrast: with the others, knees are 2.6 to 2.9
-    # deviations wrong (rms) where all is taken as exact, and at most 1.8 and 2.1 with the shipped unknowns.
+    # The keypoints are good, and the model knows that they are. Of three seeds, this one has the largest contrast: with the others, the worse knee is
+    # 2.6 and 2.9 deviations wrong (rms) where all is taken as exact, and 1.8 and 2.1 with the shipped unknowns.
     recording = record(tmp_path, movement, Network(noise="assumed", scale_px=SD_PX), shorter)
     shipped = bb.load_definition("keypoints")
     (likelihood,) = shipped.likelihoods
