@@ -37,6 +37,8 @@ from bayes_body.kernels.paths.window_nuts import Metric, NutsSchedule, chain_dia
 PATHS_PER_PREDICTOR = 2
 # The share by which a residual's covariance is shrunk towards its diagonal, as in kernels/smc/moves.py.
 SHRUNK = 0.1
+# Added to a residual's variances: about the rounding of a coordinate of some metres.
+LEAST_VARIANCE = 1e-12
 
 
 class Whitening(NamedTuple):
@@ -97,7 +99,8 @@ def _regression(
 def _covariance(residuals: Float[np.ndarray, "path dof"], freedom: int) -> Float[np.ndarray, "dof dof"]:
     covariance = residuals.T @ residuals / max(freedom, 1)
     variances = np.diagonal(covariance)
-    return (1 - SHRUNK) * covariance + np.diag(SHRUNK * variances + max(1e-6 * variances.max(), 1e-10))
+    # No share of the largest variance: what hardly moves, such as an unknown camera, has a ten-millionth of a velocity's.
+    return (1 - SHRUNK) * covariance + np.diag(SHRUNK * variances + LEAST_VARIANCE)
 
 
 class Options(Schema):
