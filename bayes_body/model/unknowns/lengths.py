@@ -114,14 +114,14 @@ def _check_means(priors: Mapping[str, tuple[float, float]]) -> None:
 
 def _correlations(bones: tuple[str, ...], setting: Setting) -> Float[np.ndarray, "bone bone"]:
     """Return the prior's correlations. A bone of which the session says how well it is known is known by itself."""
-    told = np.array([bool(_told(bone, setting)) for bone in bones], bool)
+    from_session = np.array([bool(_sd_in_session(bone, setting)) for bone in bones], bool)
     correlations = bone_variation().correlations(bones)
-    correlations[told] = correlations[:, told] = 0.0
+    correlations[from_session] = correlations[:, from_session] = 0.0
     np.fill_diagonal(correlations, 1.0)
     return correlations
 
 
-def _told(bone: str, setting: Setting) -> list[float]:
+def _sd_in_session(bone: str, setting: Setting) -> list[float]:
     """Return the standard deviations that the session gives for a bone. Where both sides have one length, it may name one of them."""
     session_sd = setting.subject.lengths_sd
     return [session_sd[name] for name in (bone, f"l_{bone}", f"r_{bone}") if name in session_sd]
@@ -135,7 +135,7 @@ def _with_session(sd: list[float], bones: tuple[str, ...], setting: Setting) -> 
             raise InputError(f"session.toml: subject.lengths_sd: '{key}': no such length of the body; {nearest(key, (OVERALL, *names))}")
     if not session_sd:
         return sd
-    lengths = [_told(bone, setting) for bone in bones]
+    lengths = [_sd_in_session(bone, setting) for bone in bones]
     smallest = min((max(values) for values in lengths if values), default=math.inf)
     overall = min(session_sd.get(OVERALL, sd[0]), MOST_COMMON * smallest)
     return [overall, *(math.sqrt(max(values) ** 2 - overall**2) if values else usual for values, usual in zip(lengths, sd[1:], strict=True))]

@@ -31,7 +31,7 @@ class BoneVariation(NamedTuple):
 def bone_variation() -> BoneVariation:
     """Return what was learned (`inference/learn/learn_lengths.py`)."""
     learned = tomllib.loads((definitions_folder() / "learned" / "bone_lengths.toml").read_text("utf-8"))
-    pairs = {frozenset((bone, other)): value for bone, row in learned["correlation"].items() for other, value in row.items()}
+    pairs = {frozenset((bone, second)): value for bone, row in learned["correlation"].items() for second, value in row.items()}
     return BoneVariation(learned["sd"], pairs)
 
 

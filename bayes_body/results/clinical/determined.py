@@ -48,8 +48,8 @@ def prior_sd_deg(model: Model, up: int) -> dict[str, float]:
         return {}
     topology, rng = body.skeleton.topology, np.random.default_rng(0)
     angles = tuple(name for name, is_angle in zip(topology.dof_names, topology.angular, strict=True) if is_angle)
-    spread, rest = by_dof(table, angles, "dynamics.spread_deg"), by_dof(options.rest_deg, angles, "dynamics.rest_deg")
-    sd, mean = (np.radians([values.get(name, 0.0) for name in topology.dof_names]) for values in (spread, rest))
+    spread, resting = by_dof(table, angles, "dynamics.spread_deg"), by_dof(options.rest_deg, angles, "dynamics.rest_deg")
+    sd, mean = (np.radians([values.get(name, 0.0) for name in topology.dof_names]) for values in (spread, resting))
     low, high = np.asarray(body.skeleton.low, float), np.asarray(body.skeleton.high, float)
     # An angle that a free dof changes is free.
     free_turns = [0.0 if name in spread else 1.0 for name in topology.dof_names] * rng.uniform(-1.0, 1.0, (TRIALS, len(sd)))

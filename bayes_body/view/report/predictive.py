@@ -226,8 +226,8 @@ def _predicted(run: "SavedRun", watch: Watch) -> Predicted:
         draws = len(inspection.states[inspection.model.body.variable])
         likelihood = keypoint_likelihood(inspection.model)
         if likelihood is not None:
-            expected, seen = expected_keypoints(likelihood, inspection.states), seen_keypoints(inspection, likelihood)
-            keypoints.append(keypoint_check(likelihood.markers.detections, expected, seen, inspection.key))
+            expected, detected = expected_keypoints(likelihood, inspection.states), seen_keypoints(inspection, likelihood)
+            keypoints.append(keypoint_check(likelihood.markers.detections, expected, detected, inspection.key))
         if reads_silhouettes(inspection.model):
             silhouettes.append(silhouette_check(inspection.model, run.session, inspection.frame, inspection.states, inspection.key))
     return Predicted(frames, draws, _stacked(KeypointCheck, keypoints), _stacked(SilhouetteCheck, silhouettes))

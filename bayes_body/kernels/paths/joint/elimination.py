@@ -76,8 +76,8 @@ def _predicted(information: Array, p: Array, q: Array, r: Array, slope: Array) -
     p = jnp.maximum(p, LEAST)
     remainder = r - q * q / p
     remainder = jnp.where(remainder > ROUNDED * jnp.finfo(r.dtype).eps * r, remainder, 0.0)
-    known = jnp.linalg.cholesky(information + slope.T @ (remainder[:, None] * slope))
-    centres = solve_triangular(known, ((q / p)[:, None] * slope).T)
+    root = jnp.linalg.cholesky(information + slope.T @ (remainder[:, None] * slope))
+    centres = solve_triangular(root, ((q / p)[:, None] * slope).T)
     covariance = centres.T @ centres + jnp.diag(1 / p)
     inverse = solve_triangular(jnp.linalg.cholesky(covariance), jnp.eye(p.shape[0], dtype=p.dtype))
     return inverse.T @ inverse
