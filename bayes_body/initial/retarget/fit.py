@@ -29,8 +29,9 @@ from bayes_body.initial.retarget.problem import landmarks_of_frame
 from bayes_body.model.body.kinematics import marker_positions
 from bayes_body.model.body.solids import Body
 
-# Gauss-Newton steps of each frame from its neighbour's pose, their damping, and their largest change of an unconstrained coordinate.
-FOLLOW_STEPS, DAMPING, LARGEST_STEP = 6, 0.1, 0.5
+# Gauss-Newton steps of the first frame and of each other one from its neighbour's pose, their damping, and their largest change of an unconstrained
+# coordinate.
+FIRST_STEPS, FOLLOW_STEPS, DAMPING, LARGEST_STEP = 60, 6, 0.1, 0.5
 # Adam's steps and rate, in unconstrained coordinates, for all frames together.
 STEPS, RATE = 600, 0.06
 # Typical speeds (rad/s for angles, m/s for shifts) and accelerations (rad/s^2, m/s^2) of a person who moves.
@@ -88,11 +89,13 @@ def _order(first: int, frames: int) -> Int[np.ndarray, " frame"]:
 def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group"], order: Int[Array, " frame"], first: Index) -> Array:
     """Return the unconstrained angles of every frame. Each frame is fitted from its neighbour's solution; the lengths are fixed."""
     start, body = parameters_of(problem.body.skeleton, pose), scaled(problem.body, problem.scaling, z)
+    # The search may stop where the landmarks leave a direction open, with a pelvis that leans. The first frame has no neighbour that holds it there.
+    start = _gauss_newton(problem, body, start, motion.places[first], motion.mask[first], jnp.inf * motion.step_s, FIRST_STEPS)
 
     def fit_frame(previous_x: Pose, frame: Index) -> tuple[Pose, Pose]:
         # The frame before `first` starts from the first pose, not from the solution of the last frame.
         previous_x = jnp.where(frame == first - 1, start, previous_x)
-        x = _gauss_newton(problem, body, previous_x, motion.places[frame], motion.mask[frame], motion.step_s)
+        x = _gauss_newton(problem, body, previous_x, motion.places[frame], motion.mask[frame], motion.step_s, FOLLOW_STEPS)
         return x, x
 
     _, solutions = jax.lax.scan(fit_frame, start, order)
@@ -100,9 +103,9 @@ def follow(problem: Problem, motion: Motion, pose: Pose, z: Float[Array, " group
 
 
 def _gauss_newton(
-    problem: Problem, body: Body, start: Pose, markers: Float[Array, "marker 3"], mask: Float[Array, " marker"], step_s: Scalar
+    problem: Problem, body: Body, start: Pose, markers: Float[Array, "marker 3"], mask: Float[Array, " marker"], step_s: Scalar, steps: int
 ) -> Pose:
-    r"""Return the unconstrained angles of one frame, near those of its neighbour.
+    r"""Return the unconstrained angles of one frame, near those of its neighbour, which is `step_s` away.
 
     The robust misfit's Gauss-Newton weights are $w_i = (\nu + 3) / (\nu \sigma_i^2 + r_i^2)$. The landmarks leave some directions almost open,
     such as the pelvis's tilt. Adam, whose steps do not depend on the size of the slope, drifts along them from frame to frame; a step of Gauss-Newton
@@ -128,7 +131,7 @@ def _gauss_newton(
         change = jnp.linalg.solve(normal, gradient)
         return x - jnp.clip(change, -LARGEST_STEP, LARGEST_STEP), None
 
-    return jax.lax.scan(step, start, None, FOLLOW_STEPS)[0]
+    return jax.lax.scan(step, start, None, steps)[0]
 
 
 class _Parameters(NamedTuple):
