@@ -150,8 +150,8 @@ def true_entries(truth, model, term):
     """Columns of an unknown (of lengths: of `lengths_of`) whose truth is known, their names, and their true values."""
     if term.name == "lengths":
         names = list(model.definition.body.lengths_of_height)
-        used = np.asarray(lengths_of(term, np.asarray(term.mean, float))) > 0
-        columns = [place for place, name in enumerate(names) if used[place] and not name.startswith("r_")]
+        # A length that the definition takes as exact is none of the unknowns.
+        columns = [place for place, name in enumerate(names) if name.removeprefix("l_") in term.space.labels]
         return columns, [names[place] for place in columns], np.array([truth.lengths_m[names[place]] for place in columns])
     labels = list(term.space.labels)
     if term.name == "cameras":

@@ -27,8 +27,8 @@ from bayes_body.runs.unknowns.fitted_session import moved_spec
 from bayes_body.workshop.compare.scenes import _blank
 from bayes_body.workshop.simulation.staging import stature_m
 
-# Length of a bone over that of the table, in the mean of people; 1 for all others.
-OTHER_TABLE = {"clavicle": 0.8, "pelvis": 1.1, "calf": 0.96, "thigh": 1.03}
+# Length of a bone over that of the table, in the mean of people; 1 for all others. The table's clavicles lead to the centres of the shoulders.
+OTHER_TABLE = {"clavicle": 0.94, "pelvis": 1.1, "calf": 0.96, "thigh": 1.03}
 # Frames before and behind the recording, for cameras whose clocks are early or late.
 MARGIN = 3
 
