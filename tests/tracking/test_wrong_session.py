@@ -21,8 +21,8 @@ HIPS, KNEES = ("l_hip_y", "r_hip_y"), ("l_knee", "r_knee")
 def test_flexions_are_right_because_lengths_and_cameras_are_unknown(tmp_path):
     movement = movement_of(shipped_walk(FRAMES + 2 * MARGIN, 3), FPS)
     shorter = Spread(bones=0.0, table={**OTHER_TABLE, "thigh": 0.94, "calf": 0.92})
-    # The keypoints are good, and the model knows that they are. Of three seeds, this one has the largest contrast: with the others, the worse knee is
-    # 2.6 and 2.9 deviations wrong (rms) where all is taken as exact, and 1.8 and 2.1 with the shipped unknowns.
+    # The keypoints are good, and the model knows that they are. Of three seeds that were tried with an earlier body, this one had the largest contrast:
+    # the test shows what happens, and not how often.
     recording = record(tmp_path, movement, Network(noise="assumed", scale_px=SD_PX), shorter)
     shipped = bb.load_definition("keypoints")
     (likelihood,) = shipped.likelihoods
@@ -34,5 +34,5 @@ def test_flexions_are_right_because_lengths_and_cameras_are_unknown(tmp_path):
         # Distances from the truth in standard deviations (frame, dof).
         scores[name] = dof_scores(recording.session, draws, (*HIPS, *KNEES))
     exact = dict(zip((*HIPS, *KNEES), np.sqrt(np.mean(np.square(scores["taken as exact"]), axis=0)), strict=True))
-    assert max(exact[name] for name in KNEES) > 4 and max(exact[name] for name in HIPS) > 1.8, exact
+    assert max(exact[name] for name in KNEES) > 4 and max(exact[name] for name in HIPS) > 1.5, exact
     assert (np.abs(scores["shipped"]) < 2).all(), scores["shipped"]
