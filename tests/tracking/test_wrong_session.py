@@ -21,8 +21,8 @@ HIPS, KNEES = ("l_hip_y", "r_hip_y"), ("l_knee", "r_knee")
 def test_flexions_are_right_because_lengths_and_cameras_are_unknown(tmp_path):
     movement = movement_of(shipped_walk(FRAMES + 2 * MARGIN, 3), FPS)
     shorter = Spread(bones=0.0, table={**OTHER_TABLE, "thigh": 0.94, "calf": 0.92})
-    # The keypoints are good, and the model knows that they are. Of three seeds that were tried with an earlier body, this one had the largest contrast:
-    # the test shows what happens, and not how often.
+    # The keypoints are good, and the model knows that they are. Of three seeds that were tried with an earlier body, this one had the largest
+    # contrast: the test shows what happens, and not how often.
     recording = record(tmp_path, movement, Network(noise="assumed", scale_px=SD_PX), shorter)
     shipped = bb.load_definition("keypoints")
     (likelihood,) = shipped.likelihoods
