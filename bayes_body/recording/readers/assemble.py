@@ -3,7 +3,7 @@
 The cameras' frames are aligned: cameras may start at different times, number their frames differently and record different numbers of frames.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.calibration import Calibrated, check_rig
 from bayes_body.recording.readers.excerpt import excerpt
-from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.faults import Faults, unnoted
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.readers.sources import Series, Source, find_background, find_series, find_source, settled_size
@@ -248,16 +248,26 @@ def source_folder(source: Path, expected: str) -> Path:
     return source
 
 
-def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str) -> Path:
+def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str, note: Callable[[str], None] = unnoted) -> Path:
     """The single file that matches one of the patterns, in the first place that has a match.
+
+    Args:
+        places: folders.
+        patterns: of files' names.
+        expected: what there should be, in error messages.
+        note: receives a sentence about matches in other places, which are not used.
 
     Raises:
         InputError: there is none, or there are several.
     """
-    for place in places:
-        paths = sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()})
-        if len(paths) > 1:
-            raise input_error(place, f"{len(paths)} calibrations ({', '.join(path.name for path in paths)})", expected, "keep only one of them there")
-        if paths:
-            return paths[0]
-    raise input_error(places[-1], f"no {' or '.join(patterns)} in it", expected, "name the folder that holds the calibration and the videos")
+    by_place = {place: sorted({path for pattern in patterns for path in place.glob(pattern) if path.is_file()}) for place in places}
+    matching = [place for place, paths in by_place.items() if paths]
+    if not matching:
+        raise input_error(places[-1], f"no {' or '.join(patterns)} in it", expected, "name the folder that holds the calibration and the videos")
+    paths = by_place[matching[0]]
+    if len(paths) > 1:
+        names = ", ".join(path.name for path in paths)
+        raise input_error(matching[0], f"{len(paths)} calibrations ({names})", expected, "keep only one of them there")
+    if unused := [path for place in matching[1:] for path in by_place[place]]:
+        note(f"The calibration is {paths[0]}; not used: {', '.join(map(str, unused))}.")
+    return paths[0]

@@ -7,34 +7,45 @@ looks along its negative z, with y up: $X_{camera} = \mathrm{diag}(1, -1, -1)\, 
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from bayes_body.base.errors import InputError, input_error
-from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers.calibration import Calibrated, calibrated
-from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.xml import read_root
 from bayes_body.recording.session.schema import MOST_CAMERAS
 
 UP = "z"
 MM = 1e-3
 SUBPIXELS = 64.0
+# Models that film. A hybrid camera films, and sees markers.
+FILMING = ("video", "hybrid")
 KIND = "a calibration of Qualisys Track Manager (*.qca.txt)"
 Y_DOWN_Z_FORWARD = np.diag([1.0, -1.0, -1.0])
 
 
-def read_qualisys(path: Path) -> list[Calibrated]:
+def read_qualisys(path: Path, note: Callable[[str], None] = unnoted) -> list[Calibrated]:
     """The video cameras of a file, in its order. Cameras that record only markers are left out.
+
+    Args:
+        path: the file.
+        note: receives a sentence about the cameras that are left out.
 
     Raises:
         InputError: no file, not XML, or no video camera in it.
         FaultyFileError: one sentence for each fault.
     """
-    elements = [camera for camera in read_root(path).iter("camera") if _films(camera)]
+    listed = list(read_root(path, KIND).iter("camera"))
+    elements = [camera for camera in listed if _films(camera)]
     if not elements:
-        raise input_error(path, "no video camera in it", KIND, "name the file that the calibration program wrote")
+        models = ", ".join(sorted({camera.get("model", "?") for camera in listed})) or "none"
+        raise input_error(path, f"no video camera in it, but {models}", KIND, "name the file that the calibration program wrote")
+    if left_out := [f"{camera.get('serial', '?')} ({camera.get('model', '?')})" for camera in listed if camera not in elements]:
+        note(f"{path.name}: {', '.join(left_out)}: cameras for markers, left out.")
     if len(elements) > MOST_CAMERAS:
         raise input_error(path, f"{len(elements)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
     faults, cameras = Faults(), []
@@ -46,25 +57,9 @@ def read_qualisys(path: Path) -> list[Calibrated]:
     return cameras
 
 
-def read_root(path: Path) -> ElementTree.Element:
-    """Return the root of a calibration's XML.
-
-    Raises:
-        InputError: no file, or not XML.
-    """
-    text = read_text(path, KIND)
-    # Nested entities can grow without bound, and no calibration has any.
-    if "<!doctype" in text.lower() or "<!entity" in text.lower():
-        raise input_error(path, "a document type or entities", f"{KIND}, which has none", "name the file that the calibration program wrote")
-    try:
-        return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise input_error(path, f"not XML ({error})", KIND, "restore the file") from None
-
-
 def _films(camera: ElementTree.Element) -> bool:
     model = camera.get("model", "none").lower()
-    return "video" in model or model == "none"
+    return model == "none" or any(word in model for word in FILMING)
 
 
 def _camera(entry: str, name: str, element: ElementTree.Element) -> Calibrated:

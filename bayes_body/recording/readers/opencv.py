@@ -35,19 +35,23 @@ def import_opencv(source: Path, folder: Path, options: Options | None = None) ->
     options = options or Options()
     source_folder(source, WHAT)
     unit_m, up = metres_per_unit(options.unit, WHY_UNIT), up_axis(options.up, WHY_UP)
-    path = _calibration([source / "calibration", source])
-    cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m) if path.suffix == ".toml" else read_opencv(path, unit_m)
+    path, notes = _calibration([source / "calibration", source]), list[str]()
+    cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m, notes.append) if path.suffix == ".toml" else read_opencv(path, unit_m)
     session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options)
-    return saved(session), [*remarks, *keypoint_remarks]
+    return saved(session), [*notes, *remarks, *keypoint_remarks]
 
 
 def _calibration(places: Sequence[Path]) -> Path:
     """The folder of OpenCV's files, or Anipose's toml."""
     for place in (place for place in places if place.is_dir()):
-        if any(path.suffix.lower() in SUFFIXES for path in place.iterdir()):
-            return place
+        files = sorted(path for path in place.iterdir() if path.suffix.lower() in SUFFIXES)
         tomls = sorted(place.glob("*.toml"))
-        if len(tomls) == 1:
-            return tomls[0]
+        if len(tomls) > 1 or (files and tomls):
+            names = ", ".join(path.name for path in (*tomls, *files))
+            raise input_error(place, f"calibrations of two rigs or programs ({names})", WHAT, "keep only those of one program there")
+        if files or tomls:
+            return place if files else tomls[0]
+        if xcps := sorted(place.glob("*.xcp")):
+            raise input_error(xcps[0], "Vicon's calibration", WHAT, "import it by `bayes-body import vicon`")
     raise input_error(places[-1], "no calibration in it", WHAT, "name the folder that holds the calibrations and recordings")

@@ -1,16 +1,24 @@
-"""Import a project of Pose2Sim: `calibration/*.toml` or `*.qca.txt`, `videos/NAME.mp4` for each camera, `pose/NAME_json` with its keypoints."""
+"""Import a project of Pose2Sim: `calibration/*.toml`, `*.qca.txt` or `*.xcp`, and for each camera `videos/NAME.mp4` and keypoints in `pose`."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers import calibration_qualisys
+from bayes_body.recording.readers import calibration_qualisys, calibration_vicon
 from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
+from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
 from bayes_body.recording.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
+# Of calibrations that state unit and axes: whose they are, their axes, and their reader.
+READERS: Mapping[str, tuple[str, Any, Callable[[Path, Callable[[str], None]], list[Calibrated]]]] = {
+    ".txt": ("Qualisys", calibration_qualisys, calibration_qualisys.read_qualisys),
+    ".xcp": ("Vicon", calibration_vicon, calibration_vicon.read_vicon),
+}
 WHY_UP = "Pose2Sim's toml does not say which axis of its world points up; it depends on how the scene was measured"
 
 
@@ -33,20 +41,22 @@ def import_pose2sim(source: Path, folder: Path, options: Options | None = None) 
     """
     options = options or Options()
     source_folder(source, WHAT)
-    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt"), f"one calibration, {WHAT}")
-    rig, remarks = _rig(source, path, options)
+    remarks: list[str] = []
+    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt", "*.xcp"), f"one calibration, {WHAT}", remarks.append)
+    rig = _rig(source, path, options, remarks.append)
     session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options, source / "pose")
     return saved(session), [*remarks, *more, *keypoint_remarks]
 
 
-def _rig(source: Path, path: Path, options: Options) -> tuple[Rig, list[str]]:
+def _rig(source: Path, path: Path, options: Options, note: Callable[[str], None]) -> Rig:
     if path.suffix == ".toml":
         unit_m = metres_per_unit(options.unit or "m", "")
-        remarks = [] if options.unit else ["The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not."]
+        if not options.unit:
+            note("The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not.")
         up = up_axis(options.up, WHY_UP)
-        return Rig(path, read_calibration_toml(path, unit_m), source, up), remarks
+        return Rig(path, read_calibration_toml(path, unit_m, note), source, up)
+    maker, module, read = READERS[path.suffix]
     if options.unit not in (None, "mm"):
-        raise input_error("--unit", options.unit or "", "mm, the unit of Qualisys's calibrations", "leave the option out")
-    up = up_axis(options.up or calibration_qualisys.UP, "")
-    return Rig(path, calibration_qualisys.read_qualisys(path), source, up), []
+        raise input_error("--unit", options.unit or "", f"mm, the unit of {maker}'s calibrations", "leave the option out")
+    return Rig(path, read(path, note), source, up_axis(options.up or module.UP, ""))

@@ -30,8 +30,9 @@ def import_qualisys(source: Path, folder: Path, options: Options | None = None) 
     """
     options = options or Options()
     source_folder(source, WHAT)
-    path = only_file([source / "calibration", source], ("*.qca.txt", "*.xml"), WHAT)
-    rig = Rig(path, read_qualisys(path), source, up_axis(options.up or UP, ""))
+    notes: list[str] = []
+    path = only_file([source / "calibration", source], ("*.qca.txt", "*.xml"), WHAT, notes.append)
+    rig = Rig(path, read_qualisys(path, notes.append), source, up_axis(options.up or UP, ""))
     session, remarks = assemble(rig, folder.resolve(), f"Qualisys recording {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options)
-    return saved(session), [*remarks, *keypoint_remarks]
+    return saved(session), [*notes, *remarks, *keypoint_remarks]

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from bayes_body.base.files.atomic import make_folder, write_text
 from bayes_body.base.files.read import read_text
-from bayes_body.recording.readers import calibration_opencv, calibration_qualisys
+from bayes_body.recording.readers import calibration_opencv, calibration_qualisys, calibration_vicon
 from bayes_body.recording.readers.calibration import Calibrated
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration_toml import camera_name, camera_tables, read_calibration_toml
 from bayes_body.recording.readers.options import METRES
 from bayes_body.recording.readers.parsec_files import MM, read_calibration
+from bayes_body.recording.readers.xml import read_root
 from bayes_body.recording.session.session import CameraSpec
 
 PARSEC = "Camera*.cal"
@@ -47,6 +48,8 @@ def rewrite_calibration(source: Path, folder: Path, imported: Sequence[CameraSpe
         calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibration_opencv.read_opencv(source, 1.0), imported))
     elif source.suffix == ".toml":
         _toml(source, target, cameras, changed, _unit_m(read_calibration_toml(source), imported))
+    elif source.suffix == ".xcp":
+        _vicon(source, target, cameras, changed)
     else:
         _qualisys(source, target, cameras, changed)
     return target
@@ -70,18 +73,21 @@ def _vector(camera: CameraSpec) -> list[float]:
 
 def _toml(source: Path, target: Path, cameras: Cameras, changed: set[str], unit_m: float) -> None:
     document = tomlkit.parse(read_text(source, "a calibration"))
-    for key, table in document.items():
-        camera = cameras.get(str(table.get("name", key))) if key != "metadata" and isinstance(table, dict) else None
+    for header, table in camera_tables(document):
+        camera = cameras.get(camera_name(header, table.get("name")))
         if camera is None:
             continue
-        table["rotation"], table["translation"] = _vector(camera), (np.asarray(camera.translation_m, float) / unit_m).tolist()
+        # As it was: a matrix by rows, or a Rodrigues vector.
+        is_matrix = np.size(table.get("rotation", ())) == 9
+        table["rotation"] = np.asarray(camera.rotation, float).tolist() if is_matrix else _vector(camera)
+        table["translation"] = (np.asarray(camera.translation_m, float) / unit_m).tolist()
         if camera.name in changed:
             table["matrix"] = _matrix(camera)
     write_text(target, tomlkit.dumps(document))
 
 
 def _qualisys(source: Path, target: Path, cameras: Cameras, changed: set[str]) -> None:
-    root = calibration_qualisys.read_root(source)
+    root = read_root(source, calibration_qualisys.KIND)
     for element in root.iter("camera"):
         camera = cameras.get(element.get("serial", ""))
         outer, inner, recorded = (element.find(tag) for tag in ("transform", "intrinsic", "fov_video"))
@@ -97,6 +103,27 @@ def _qualisys(source: Path, target: Path, cameras: Cameras, changed: set[str]) -
             centre_px = zip("UV", camera.centre_px, corner, strict=True)
             _set(inner, {f"centerPoint{axis}": calibration_qualisys.SUBPIXELS * (place + start) for axis, place, start in centre_px})
     write_text(target, ElementTree.tostring(root, encoding="unicode", xml_declaration=True))
+
+
+def _vicon(source: Path, target: Path, cameras: Cameras, changed: set[str]) -> None:
+    from scipy.spatial.transform import Rotation
+
+    root = read_root(source, calibration_vicon.KIND)
+    for element in root.iter("Camera"):
+        camera, frames = cameras.get(element.get("DEVICEID", "")), element.findall("KeyFrames/KeyFrame")
+        if camera is None or not frames:
+            continue
+        R = np.asarray(camera.rotation, float)
+        frames[-1].set("ORIENTATION", _joined(Rotation.from_matrix(R).as_quat()))
+        frames[-1].set("POSITION", _joined(-R.T @ np.asarray(camera.translation_m, float) / calibration_vicon.MM))
+        if camera.name in changed:
+            frames[-1].set("FOCAL_LENGTH", repr(float(camera.focal_px[0])))
+            frames[-1].set("PRINCIPAL_POINT", _joined(np.array(camera.centre_px)))
+    write_text(target, ElementTree.tostring(root, encoding="unicode", xml_declaration=True))
+
+
+def _joined(numbers: NDArray[np.float64]) -> str:
+    return " ".join(repr(float(value)) for value in numbers)
 
 
 def _set(element: ElementTree.Element, numbers: Mapping[str, float]) -> None:

@@ -61,6 +61,16 @@ def test_refused(path, fault):
     assert len(str(error.value).splitlines()) == 1
 
 
+def test_a_hybrid_camera_films_and_a_camera_for_markers_is_said(path):
+    camera = SOUND[SOUND.index("<camera ") : SOUND.index("</cameras>")]
+    models = {"26580": "Miqus Video", "26581": "Miqus Hybrid", "26582": "Miqus M3"}
+    listed = [camera.replace("26580", serial).replace("Miqus Video", model) for serial, model in models.items()]
+    path.write_text(SOUND.replace(camera, "".join(listed)))
+    notes = []
+    assert [camera.name for camera in read_qualisys(path, notes.append)] == ["26580", "26581"]
+    assert notes == ["room.qca.txt: 26582 (Miqus M3): cameras for markers, left out."]
+
+
 def test_an_entity_bomb_in_another_encoding_is_refused(path):
     text = SOUND.replace("<calibration>", '<!DOCTYPE a [<!ENTITY b "b">]><calibration>').replace("ASCII", "UTF-16")
     path.write_bytes(text.encode("utf-16"))

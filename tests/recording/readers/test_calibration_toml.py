@@ -43,7 +43,6 @@ REFUSED = {
     "missing": ("rotation = [0.1, -0.2, 0.3]\n", "", "rotation: missing"),
     "short": ("[640, 480]", "[640]", "size"),
     "no focal length": ("600.0", "0.0", "focal length x = 0; expected a positive number"),
-    "stray key": ("[cam_01]", "title = 3\n\n[cam_01]", r"\[title\]: not a table"),
 }
 
 
@@ -55,6 +54,31 @@ def test_refused(path, fault):
     with pytest.raises(InputError, match=f"^{path}: .*{sentence}") as error:
         read_calibration_toml(path)
     assert len(str(error.value).splitlines()) == 1
+
+
+MATRIX = "[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]"
+
+
+def test_what_is_no_camera_is_said(path):
+    """A creation date, a board and a capture volume stand beside the cameras."""
+    notes = []
+    path.write_text('creation_date = "today"\n\n[charuco]\ncolumns = 4\n\n' + SOUND)
+    assert [camera.name for camera in read_calibration_toml(path, note=notes.append)] == ["left"]
+    assert notes == ["Calib.toml: creation_date, charuco: not cameras, and not read."]
+
+
+def test_tables_below_cameras_have_numbers_matrices_and_perhaps_no_place(path):
+    tables = SOUND.replace('name = "left"\n', "").replace("[metadata]\nerror = 0.0\n", "")
+    first = tables.replace("[cam_01]", "[cameras.0]").replace("[0.1, -0.2, 0.3]", MATRIX)
+    second = tables.replace("[cam_01]", "[cameras.1]").replace("rotation = [0.1, -0.2, 0.3]\ntranslation = [100.0, 200.0, 3000.0]\n", "")
+    notes = []
+    path.write_text(first + second)
+    (camera,) = read_calibration_toml(path, note=notes.append)
+    assert camera.name == "cam_0" and notes == ["Calib.toml: [cameras.1]: no rotation and translation, so this camera is left out."]
+    np.testing.assert_allclose(camera.rotation, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    path.write_text(second)
+    with pytest.raises(InputError, match="no camera has a rotation and a translation: these are intrinsics only"):
+        read_calibration_toml(path)
 
 
 def test_no_camera(tmp_path):
