@@ -22,7 +22,22 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existin
 Masks = Annotated[Path | None, typer.Option("--masks", help="Folder with silhouettes in CAMERA/, numbered like the frames.")]
 Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.")]
 Truth = Annotated[Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.")]
-Keypoints = Annotated[Path | None, typer.Option("--keypoints", help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames.")]
+Keypoints = Annotated[
+    Path | None,
+    typer.Option(
+        "--keypoints",
+        help="Folder with OpenPose's files in CAMERA_json/, numbered like the frames, or a file of AlphaPose, MMPose, DeepLabCut or SLEAP for each "
+        "camera, whose name begins with the camera's.",
+    ),
+]
+KeypointsFirst = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--keypoints-first",
+        metavar="[CAMERA=]NUMBER",
+        help="Number of the keypoints that belong to the first recorded frame, if they are not numbered like the frames; may be repeated.",
+    ),
+]
 Layout = Annotated[
     str | None,
     typer.Option("--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; detected by default."),
@@ -64,7 +79,7 @@ LABORATORIES = {
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",
         "Import a Pose2Sim project: cameras, videos or images, and keypoints if there are any.",
-        "A Pose2Sim project: calibration/*.toml or *.qca.txt, videos/CAMERA.mp4, pose/CAMERA_json.",
+        "A Pose2Sim project: calibration/*.toml, *.qca.txt or *.xcp, videos/CAMERA.mp4, pose/CAMERA_json.",
     ),
     "opencv": Laboratory(
         "Cameras calibrated with OpenCV, EasyMocap or Anipose.",
@@ -75,6 +90,12 @@ LABORATORIES = {
         "Video cameras of Qualisys Track Manager.",
         "Import video cameras of Qualisys Track Manager; z points up unless --up gives another axis.",
         "Folder with one *.qca.txt (or xml) of Qualisys Track Manager, and a video of each camera.",
+        omitted_options=("unit",),
+    ),
+    "vicon": Laboratory(
+        "Video cameras of Vicon.",
+        "Import video cameras of Vicon; z points up unless --up gives another axis.",
+        "Folder with one *.xcp of Vicon, and a video of each camera.",
         omitted_options=("unit",),
     ),
 }
@@ -90,6 +111,7 @@ def _import(
     truth: Truth = None,
     keypoints: Keypoints = None,
     layout: Layout = None,
+    keypoints_first: KeypointsFirst = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
@@ -106,8 +128,9 @@ def _import(
     from bayes_body.recording.readers.options import Options
     from bayes_body.recording.session.read import FILE_NAME
 
-    offsets = _offsets(offset)
-    options = Options(unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths)
+    offsets = _numbers_by_camera("--offset", offset, "CAMERA=FRAMES, such as cam02=3", needs_camera=True)
+    starts = _numbers_by_camera("--keypoints-first", keypoints_first, "[CAMERA=]NUMBER, such as 1 or cam02=440", needs_camera=False)
+    options = Options(unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths, starts)
     if (session / FILE_NAME).exists() and not overwrite:
         raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
@@ -145,20 +168,21 @@ for name, laboratory in LABORATORIES.items():
     app.command(name, help=laboratory.help, short_help=laboratory.line)(_command(name, laboratory))
 
 
-def _offsets(texts: list[str] | None) -> dict[str, int]:
-    offsets: dict[str, int] = {}
+def _numbers_by_camera(option: str, texts: list[str] | None, expected: str, needs_camera: bool) -> dict[str, int]:
+    """Return the whole number that an option gives for each camera; under an empty name that of all cameras."""
+    numbers: dict[str, int] = {}
     for text in texts or []:
-        name, _, number = text.rpartition("=")
+        name, separator, number = text.rpartition("=")
         try:
-            frames = int(number)
+            value = int(number)
         except ValueError:
-            frames = None
-        if not name or frames is None or abs(frames) > 10**9:
-            raise input_error("--offset", f"'{text}'", "CAMERA=FRAMES, such as cam02=3", "give a camera's name and a whole number of frames")
-        if name in offsets:
-            raise input_error("--offset", f"camera '{name}' twice", "an offset for each camera", "leave one of them out")
-        offsets[name] = frames
-    return offsets
+            value = None
+        if value is None or abs(value) > 10**9 or (needs_camera and not name) or (separator and not name):
+            raise input_error(option, f"'{text}'", expected, "give a camera's name and a whole number")
+        if name in numbers:
+            raise input_error(option, f"camera '{name}' twice" if name else "two numbers for all cameras", expected, "leave one of them out")
+        numbers[name] = value
+    return numbers
 
 
 def _compare_cameras(session: "Session", offsets: Mapping[str, int]) -> None:

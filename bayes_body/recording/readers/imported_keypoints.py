@@ -1,4 +1,7 @@
-"""Import the subject's keypoints from OpenPose's files, one folder per camera: for the first frame, and for all frames."""
+"""Import the subject's keypoints: for the first frame, and for all frames.
+
+Each camera has a folder of OpenPose's files, or one file that another program wrote for the whole video (pose_files/).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,18 +10,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
-from bayes_body.recording.readers.keypoints import Layout, choose_layout, keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.keypoints import Layout, Tally, choose_layout, describe_tallies, keypoint_files, read_openpose, read_people
 from bayes_body.recording.readers.measured_lengths import with_measured_lengths
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.person import People
+from bayes_body.recording.readers.pose_files.find import PoseFiles, find_pose_files, read_track
+from bayes_body.recording.readers.pose_files.pose_track import PoseTrack
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
 # How many evenly spaced files of a camera are used to find the order of the keypoints.
 FILES_FOR_LAYOUT = 20
 FOLDER = "keypoints"
+# Beginnings of the names of points of a whole-body network.
+FACES_AND_HANDS = ("face_", "l_hand_", "r_hand_")
 
 
 def keypoint_folders(session: Session, folder: Path) -> dict[str, Path]:
@@ -34,40 +41,45 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
         InputError: the named folder has none, they cannot be read, or the session's folder cannot be written.
     """
-    folder = options.keypoints or usual
-    folders = keypoint_folders(session, folder) if folder else {}
-    expected = "a folder CAMERA_json of OpenPose's files for each camera"
+    folder, names = options.keypoints or usual, [view.camera.name for view in session.views]
+    files = find_pose_files(folder, names) if folder else PoseFiles({}, [])
+    folders, expected = files.paths, "for each camera a folder CAMERA_json of OpenPose's files, or a file of AlphaPose, MMPose, DeepLabCut or SLEAP"
     if options.keypoints is not None and not folders:
-        raise input_error(f"--keypoints {folder}", "no folder of any camera in it", expected, "check the path and the folders' names")
+        raise input_error(f"--keypoints {folder}", "no folder or file of any camera in it", expected, "check the path and the names")
     if options.layout is not None and not folders:
         raise input_error(
             "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", expected, "leave the option out"
         )
     if not folders:
-        return session, []
-    session, remarks = with_keypoints(session, folders, options.layout)
+        return session, files.remarks(names)
+    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first)
     session, measures = with_measured_lengths(session) if options.measures_lengths else (session, [])
-    return session, [*remarks, *measures]
+    return session, [*files.remarks(names), *remarks, *measures]
 
 
-def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | None = None) -> tuple[Session, list[str]]:
+def with_keypoints(
+    session: Session, folders: Mapping[str, Path], layout: str | None = None, starts: Mapping[str, int] | None = None
+) -> tuple[Session, list[str]]:
     """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
 
     Args:
         session: its cameras and frames.
-        folders: each camera's files, numbered like its frames; a camera may be missing.
+        folders: each camera's folder of files, numbered like its frames, or its file of the whole video; a camera may be missing.
         layout: the order of the keypoints; None: infer it from the data.
+        starts: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame, if it is another one.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
         InputError: the order of the keypoints cannot be inferred, or the session's folder cannot be written.
     """
     views = [view for view in session.views if view.camera.name in folders]
-    people, remarks = _read(session, views, folders)
+    tracks = {name: read_track(path) for name, path in folders.items() if path.is_file()}
+    people, remarks = _read(session, views, folders, tracks, starts or {})
     somebody = [group for frame in people for group in frame if len(group)]
     if not somebody:
         return session, ["The keypoint files contain no people: the session has no keypoints."]
-    order = choose_layout(_alike(folders, [*somebody, *_sample(views, folders)]), layout)
+    order = _order(folders, tracks, [*somebody, *_sample(views, folders)], layout)
+    people, order = _of_body(people, order)
     places = follow_person([view.camera for view in views], people)
     first = {
         view.camera.name: _named(view.camera, among[place], order)
@@ -82,22 +94,63 @@ def with_keypoints(session: Session, folders: Mapping[str, Path], layout: str | 
     return replace(session, views=marked, initial_keypoints={} if has_first_pose else first), remarks
 
 
-def _read(session: Session, views: Sequence[View], folders: Mapping[str, Path]) -> tuple[list[list[People]], list[str]]:
-    """The people of each frame in each camera, and remarks on frames without a file. The first frame must have one."""
-    faults, cameras, remarks = Faults(), [], []
+def _read(
+    session: Session, views: Sequence[View], folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], starts: Mapping[str, int]
+) -> tuple[list[list[People]], list[str]]:
+    """The people of each frame in each camera, and remarks on frames without a file and on what was strange."""
+    faults, cameras, remarks, nobody, tallies = Faults(), [], list[str](), np.zeros((0, 0, 3)), dict[str, Tally]()
     for view in views:
         with faults.collect():
-            folder, first = folders[view.camera.name], session.number(view, 0)
-            files = keypoint_files(folder)
-            numbers = [number for number in range(first, first + session.frames) if number in files or number == first]
-            series = dict(zip(numbers, read_openpose(folder, numbers), strict=True))
-            nobody = np.zeros((0, 0, 3))
+            name = view.camera.name
+            path, track, tally = folders[name], tracks.get(name), tallies.setdefault(name, Tally())
+            recorded_first = session.number(view, 0) - session.skipped
+            first = session.number(view, 0) + starts.get(name, starts.get("", recorded_first)) - recorded_first
+            files = track.people if track else keypoint_files(path)
+            numbers = [number for number in range(first, first + session.frames) if number in files]
+            if not numbers or (first < min(files) and len(files) >= session.frames and not session.recorded):
+                raise _other_numbers(name, path, list(files), first, session.frames)
+            if track:
+                series, tally.largest = track.people, track.unclipped or 0.0
+            else:
+                series = dict(zip(numbers, read_openpose(path, numbers, tally), strict=True))
             cameras.append([visible_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
             if len(numbers) < session.frames:
-                lost = f"{session.frames - len(numbers)} of {session.frames} frames have no file in {folder}"
-                remarks.append(f"camera '{view.camera.name}': {lost}: its keypoints are missing there.")
+                where = f"are not in {path.name}" if track else f"have no file in {path}"
+                lost = f"{session.frames - len(numbers)} of {session.frames} frames {where}"
+                remarks.append(f"camera '{name}': {lost}: its keypoints are missing there.")
     faults.raise_any()
+    remarks += describe_tallies(tallies)
+    if programs := sorted({track.program for track in tracks.values()}):
+        remarks.append(f"Keypoints are read from files of {' and '.join(programs)}.")
     return [list(frame) for frame in zip(*cameras, strict=True)], remarks
+
+
+def _order(folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], people: Sequence[People], layout: str | None) -> Layout:
+    """The order of the keypoints: the one that all files state, else the one that their number and the body's proportions tell."""
+    stated = {track.names for track in tracks.values() if track.names}
+    if not stated or layout is not None:
+        return choose_layout(_alike(folders, people), layout)
+    if len(stated) > 1 or len(tracks) < len(folders):
+        folder = next(iter(folders.values())).parent
+        raise input_error(folder, "cameras whose files name other keypoints", "the same keypoints for all cameras", "use one network")
+    program = next(iter(tracks.values())).program
+    return Layout(program, stated.pop())
+
+
+def _of_body(people: list[list[People]], order: Layout) -> tuple[list[list[People]], Layout]:
+    """The people and the order without points of faces and hands, which no body has."""
+    columns = [place for place, name in enumerate(order.keypoints) if not name.startswith(FACES_AND_HANDS)]
+    if len(columns) == len(order.keypoints):
+        return people, order
+    names = tuple(order.keypoints[place] for place in columns)
+    return [[group[:, columns] if len(group) else group for group in frame] for frame in people], order._replace(keypoints=names)
+
+
+def _other_numbers(camera: str, path: Path, numbers: Sequence[int], first: int, count: int) -> InputError:
+    """The error for keypoints whose numbers are not those of the frames."""
+    problem = f"keypoints of {len(numbers)} frames, numbered {min(numbers)} to {max(numbers)}"
+    remedy = f"if the first of them belongs to the first frame, give --keypoints-first {camera}={min(numbers)}, or without 'CAMERA=' for all cameras"
+    return input_error(path, problem, f"numbers {first} to {first + count - 1}, those of the camera's frames", remedy)
 
 
 def visible_people(people: People) -> People:
@@ -106,7 +159,7 @@ def visible_people(people: People) -> People:
 
 
 def _sample(views: Sequence[View], folders: Mapping[str, Path]) -> list[People]:
-    files = [list(keypoint_files(folders[view.camera.name]).values()) for view in views]
+    files = [list(keypoint_files(path).values()) for view in views if (path := folders[view.camera.name]).is_dir()]
     return [group for paths in files for path in paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] if len(group := read_people(path))]
 
 

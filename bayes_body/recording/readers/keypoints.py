@@ -9,8 +9,10 @@ proportions (Drillis & Contini 1966, fractions of stature), spread by 10 to 20 %
 elbows.
 """
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,15 +27,47 @@ KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, 
 # The last number of a file name: cam01.0007.json, walk_000000000007_keypoints.json.
 NUMBER = re.compile(r"(\d+)(?:_keypoints)?\.json", re.IGNORECASE)
 MOST_PEOPLE = 200
+# A confidence above this is one in per cent.
+PER_CENT = 20.0
 MOST_KEYPOINTS = 500
 # Far outside any image; a larger coordinate is damage.
 FARTHEST_PX = 1e6
 
 
-def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
+@dataclass
+class Tally:
+    """What was strange in files, though they were read.
+
+    Attributes:
+        unplaced: number of keypoints with a confidence and without a place (NaN or null).
+        largest: the largest confidence.
+    """
+
+    unplaced: int = 0
+    largest: float = 0.0
+
+
+def describe_tallies(tallies: Mapping[str, Tally]) -> list[str]:
+    """Return a sentence for each kind of what was strange, with the cameras of which it is said."""
+    sentences = []
+    if unplaced := {name: tally.unplaced for name, tally in tallies.items() if tally.unplaced}:
+        counts = ", ".join(f"{name} {count}" for name, count in unplaced.items())
+        sentences.append(f"Keypoints with a confidence and no place (NaN or null) count as not found: {counts}.")
+    if large := {name: tally.largest for name, tally in tallies.items() if tally.largest > 1}:
+        largest = max(large.values())
+        scale = "; they look like per cent: divide them by 100" if largest > PER_CENT else ""
+        sentences.append(f"Confidences up to {largest:.3g} are cut to 1 ({', '.join(large)}){scale}.")
+    return sentences
+
+
+def read_people(path: Path, tally: Tally | None = None) -> Float[np.ndarray, "person keypoint 3"]:
     """The people of one file: column, row (pixels; NaN where not found) and confidence, from 0 to 1; (0, 0, 3) without people.
 
-    Some networks give confidences above 1; they are clipped to 1.
+    Some networks give confidences above 1; they are clipped to 1. A coordinate that is NaN or null is not found, whatever the confidence.
+
+    Args:
+        path: the file.
+        tally: counts what was strange.
 
     Raises:
         InputError: no file, not JSON, or no such keypoints.
@@ -46,9 +80,14 @@ def read_people(path: Path) -> Float[np.ndarray, "person keypoint 3"]:
     if len(counts) > 1:
         raise input_error(path, f"people with {counts[0] // 3} and with {counts[-1] // 3} keypoints", "the same number for each", "restore the file")
     points = np.array(rows, float).reshape(len(rows), -1, 3)
-    if not (np.isfinite(points).all() and (np.abs(points[..., :2]) <= FARTHEST_PX).all()):
-        raise input_error(path, "a keypoint that is not finite, or far outside any image", "pixels", "restore the file")
-    points[..., 2] = np.clip(points[..., 2], 0.0, 1.0)
+    placed = np.isfinite(points[..., :2]).all(axis=-1)
+    if (np.abs(points[placed][:, :2]) > FARTHEST_PX).any():
+        raise input_error(path, "a keypoint far outside any image", "pixels", "restore the file")
+    confidence = np.nan_to_num(points[..., 2])
+    if tally is not None:
+        tally.unplaced += int((~placed & (confidence > 0)).sum())
+        tally.largest = max(tally.largest, float(confidence.max(initial=0.0)))
+    points[..., 2] = np.where(placed, np.clip(confidence, 0.0, 1.0), 0.0)
     points[..., :2][points[..., 2] == 0] = np.nan
     return points
 
@@ -68,9 +107,9 @@ def _row(path: Path, number: int, person: Any) -> list[float]:
         problem = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
         raise input_error(f"{path}: person {number}: pose_keypoints_2d", problem, "x, y, confidence of each keypoint in a row", "restore the file")
     # This excludes true, false, and numbers too large for a float.
-    if not all(type(value) in (int, float) and abs(value) <= 1e300 for value in numbers):
-        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a finite number", "numbers", "restore the file")
-    return [float(value) for value in numbers]
+    if not all(value is None or (type(value) in (int, float) and not abs(value) > 1e300) for value in numbers):
+        raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a number", "numbers", "restore the file")
+    return [math.nan if value is None else float(value) for value in numbers]
 
 
 def keypoint_files(folder: Path) -> dict[int, Path]:
@@ -79,7 +118,7 @@ def keypoint_files(folder: Path) -> dict[int, Path]:
     Raises:
         InputError: no such folder, no numbered json files in it, or two files with the same number.
     """
-    paths = sorted(folder.glob("*.json")) if folder.is_dir() else []
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json") if folder.is_dir() else []
     numbered = [(int(match[1][:18]), path) for path in paths if (match := NUMBER.search(path.name))]
     if not numbered:
         raise input_error(folder, "no numbered json files in it", "one file per frame, such as cam01.0000.json", "name the folder that holds them")
@@ -91,12 +130,13 @@ def keypoint_files(folder: Path) -> dict[int, Path]:
     return files
 
 
-def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "frame person keypoint 3"]:
+def read_openpose(folder: Path, frames: Sequence[int], tally: Tally | None = None) -> Float[np.ndarray, "frame person keypoint 3"]:
     """The keypoints of one camera, frame by frame: column, row (pixels) and confidence, from 0 to 1.
 
     Args:
         folder: one file per frame, with the frame number at the end of its name.
         frames: the numbers of the frames to read.
+        tally: counts what was strange.
 
     Returns:
         The person axis is as long as the fullest frame needs. A missing person, like a keypoint that was not found, is NaN, NaN, 0. People keep the
@@ -114,7 +154,7 @@ def read_openpose(folder: Path, frames: Sequence[int]) -> Float[np.ndarray, "fra
     faults, people = Faults(), []
     for number in frames:
         with faults.collect():
-            people.append(read_people(files[number]))
+            people.append(read_people(files[number], tally))
     faults.raise_any()
     counts = sorted({group.shape[1] for group in people if len(group)})
     if len(counts) > 1:
@@ -146,6 +186,11 @@ LAYOUTS: dict[str, tuple[str, ...]] = {
     "COCO_18": (*_OPENPOSE_ARMS, *_OPENPOSE_LEGS, *_OPENPOSE_FACE),
     "BODY_25": (*_OPENPOSE_ARMS, "mid_hip", *_OPENPOSE_LEGS, *_OPENPOSE_FACE, *_OPENPOSE_FEET),
     "BODY_25B": (*_COCO, "upper_neck", "head", *_OPENPOSE_FEET),
+    "COCO_133": (
+        *(*_COCO, *_OPENPOSE_FEET),
+        *(f"face_{number}" for number in range(1, 69)),
+        *(f"{side}_hand_{number}" for side in "lr" for number in range(1, 22)),
+    ),
     "HALPE_26": (*_COCO, "head", "neck", "mid_hip", "l_big_toe", "r_big_toe", "l_small_toe", "r_small_toe", "l_heel", "r_heel"),
 }
 # Fractions of stature; the trunk goes from shoulder to hip.

@@ -28,10 +28,11 @@ class Options:
         truth: an .npz with true markers.
         offsets: the session's frame k is the camera's frame k + offset.
         layout: the order of the keypoints, a name in `keypoints.LAYOUTS`.
-        keypoints: a folder that contains a folder of OpenPose's files for each camera.
+        keypoints: a folder that contains for each camera a folder of OpenPose's files, or a file of AlphaPose, MMPose, DeepLabCut or SLEAP.
         first_frame: number of the first frame that is imported, as in the file names; in a video they count from 0.
         frames: number of frames that are imported; all from the first one on by default.
         measures_lengths: whether the lengths of the limbs are measured on the keypoints of two or more cameras.
+        keypoints_first: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame.
     """
 
     unit: str | None = None
@@ -47,6 +48,7 @@ class Options:
     first_frame: int | None = None
     frames: int | None = None
     measures_lengths: bool = True
+    keypoints_first: Mapping[str, int] = field(default_factory=dict)
 
 
 def check_height(height_m: float | None) -> None:

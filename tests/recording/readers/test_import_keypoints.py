@@ -5,12 +5,14 @@ import re
 from dataclasses import replace
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.keypoints import LAYOUTS
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.session.read import load_session, save_session
@@ -111,19 +113,120 @@ def test_nobody_in_the_first_frame_is_said_with_the_first_that_shows_somebody(la
     assert set(later.initial_keypoints) == {"left", "right"} and not any("no first keypoints" in remark for remark in remarks)
 
 
-def test_frames_without_a_file(lab, tmp_path):
+@pytest.mark.parametrize("missing", [(3, 4), (0, 1)])
+def test_frames_without_a_file(lab, tmp_path, missing):
     detect(tmp_path / "pose")
-    for k in (3, 4):
+    for k in missing:
         (tmp_path / "pose" / "left_json" / f"left.{k:04d}.json").unlink()
     session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
     assert any(remark.startswith("camera 'left': 2 of 6 frames have no file in") for remark in remarks)
-    assert [bool(read_frame(session, k).keypoints[0]) for k in range(FRAMES)] == [True, True, True, False, False, True]
+    assert [bool(read_frame(session, k).keypoints[0]) for k in range(FRAMES)] == [k not in missing for k in range(FRAMES)]
+
+
+def by_camera(folder):
+    """The keypoints of OpenPose's files: {camera: {number: (keypoint, 3)}}."""
+    cameras = {}
+    for path in sorted(folder.glob("*_json/*.json")):
+        points = np.reshape(json.loads(path.read_text())["people"][0]["pose_keypoints_2d"], (-1, 3))
+        cameras.setdefault(path.parent.name.removesuffix("_json"), {})[int(path.stem.split(".")[1])] = points
+    return cameras
+
+
+def as_alphapose(folder, name, frames):
+    people = [{"image_id": f"{number}.jpg", "keypoints": points.ravel().tolist(), "score": 2.5} for number, points in frames.items()]
+    (folder / f"{name}.json").write_text(json.dumps(people))
+
+
+def as_mmpose(folder, name, frames):
+    (folder / name).mkdir()
+    listed = [
+        {"frame_id": number, "instances": [{"keypoints": points[:, :2].tolist(), "keypoint_scores": points[:, 2].tolist()}]}
+        for number, points in frames.items()
+    ]
+    (folder / name / "results_000000.json").write_text(json.dumps({"meta_info": {"dataset_name": "coco"}, "instance_info": listed}))
+
+
+def as_deeplabcut(folder, name, frames):
+    parts = [part.replace("l_", "left_").replace("r_", "right_") for part in LAYOUTS["COCO_17"]]
+    heads = [["scorer", *["net"] * 51], ["bodyparts", *np.repeat(parts, 3)], ["coords", *["x", "y", "likelihood"] * 17]]
+    rows = [[str(number), *map(repr, points.ravel().tolist())] for number, points in frames.items()]
+    (folder / f"{name}DLC_resnet50.csv").write_text("\n".join(",".join(row) for row in [*heads, *rows]))
+
+
+def as_sleap(folder, name, frames):
+    head = ["track", "frame_idx", "instance.score", *(f"{part}.{kind}" for part in LAYOUTS["COCO_17"] for kind in ("x", "y", "score"))]
+    rows = [["", str(number), "0.9", *map(repr, points.ravel().tolist())] for number, points in frames.items()]
+    (folder / f"{name}.analysis.csv").write_text("\n".join(",".join(row) for row in [head, *rows]))
+
+
+def as_sleap_h5(folder, name, frames):
+    last = max(frames)
+    places = np.full((1, 2, 17, last + 1), np.nan)
+    scores = np.full((1, 17, last + 1), np.nan)
+    for number, points in frames.items():
+        places[0, :, :, number], scores[0, :, number] = points[:, :2].T, points[:, 2]
+    with h5py.File(folder / f"{name}.h5", "w") as file:
+        file["tracks"], file["point_scores"], file["node_names"] = places, scores, np.array(LAYOUTS["COCO_17"], "S")
+
+
+PROGRAMS = {"AlphaPose": as_alphapose, "MMPose": as_mmpose, "DeepLabCut": as_deeplabcut, "SLEAP": as_sleap, "SLEAP, h5": as_sleap_h5}
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_file_of_a_whole_video_says_the_same(lab, tmp_path, program):
+    openpose = detect(tmp_path / "pose")
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=openpose))
+    folder = tmp_path / "whole"
+    folder.mkdir()
+    for name, frames in by_camera(openpose).items():
+        PROGRAMS[program](folder, name, frames)
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=folder))
+    assert f"Keypoints are read from files of {program.removesuffix(', h5')}." in remarks
+    for frame in range(FRAMES):
+        for seen, expected in zip(read_frame(session, frame).keypoints, read_frame(wanted, frame).keypoints, strict=True):
+            assert seen.keys() == expected.keys()
+            np.testing.assert_allclose(list(seen.values()), list(expected.values()), rtol=1e-5)
+
+
+def test_a_pickled_table_is_refused(lab, tmp_path):
+    folder = tmp_path / "whole"
+    folder.mkdir()
+    with h5py.File(folder / "leftDLC_resnet50.h5", "w") as file:
+        file.create_group("df_with_missing")["table"] = np.zeros(3)
+    with pytest.raises(InputError, match=r"leftDLC_resnet50.h5: DeepLabCut's table in HDF5, whose header is pickled; expected its csv"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=folder))
+
+
+def test_points_of_faces_and_hands_are_left_out(lab, tmp_path):
+    openpose = detect(tmp_path / "pose")
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=openpose))
+    for path in openpose.glob("*_json/*.json"):
+        content = json.loads(path.read_text())
+        content["people"][0]["pose_keypoints_2d"] += [0.0] * 3 * (133 - 17)
+        path.write_text(json.dumps(content))
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=openpose))
+    assert len(read_series(session.keypoints_path(session.views[0])).names) == 23
+    assert read_frame(session, 3).keypoints == read_frame(wanted, 3).keypoints
+
+
+def test_numbers_that_are_not_the_frames_are_refused_unless_the_first_is_given(lab, tmp_path):
+    openpose = detect(tmp_path / "pose")
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=openpose))
+    for path in sorted(openpose.glob("left_json/*.json"), reverse=True):
+        path.rename(path.with_name(f"left.{int(path.stem.split('.')[1]) + 1:04d}.json"))
+    with pytest.raises(
+        InputError, match=r"left_json: keypoints of 6 frames, numbered 1 to 6; expected numbers 0 to 5, .* give --keypoints-first left=1"
+    ):
+        import_opencv(lab, tmp_path / "s", options(keypoints=openpose))
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=openpose, keypoints_first={"left": 1}))
+    assert [read_frame(session, k).keypoints for k in range(FRAMES)] == [read_frame(wanted, k).keypoints for k in range(FRAMES)]
 
 
 def test_a_camera_without_keypoints(lab, tmp_path):
     pose_folder = detect(tmp_path / "pose")
     (pose_folder / "right_json").rename(pose_folder / "other_json")
-    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
+    assert {"No keypoints for right.", "Not used, because no camera has this name: other_json."} <= set(remarks)
     assert [view.keypoints for view in session.views] == ["keypoints/left.npz", None]
     assert read_frame(session, 0).keypoints[1] is None
 
@@ -141,7 +244,9 @@ def test_a_camera_that_agrees_with_no_other_is_named(lab, tmp_path):
 
 
 def test_what_is_wrong_is_said(lab, tmp_path):
-    with pytest.raises(InputError, match=r"--keypoints .*nowhere: no folder of any camera in it; expected a folder CAMERA_json"):
+    with pytest.raises(
+        InputError, match=r"--keypoints .*nowhere: no folder or file of any camera in it; expected for each camera a folder CAMERA_json"
+    ):
         import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "nowhere"))
     with pytest.raises(InputError, match="--layout: COCO_17, but there are no keypoints; expected"):
         import_opencv(lab, tmp_path / "s", options(layout="COCO_17"))

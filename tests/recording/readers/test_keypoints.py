@@ -7,7 +7,17 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.keypoints import LAYOUTS, PROPORTIONS, choose_layout, disproportion, keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.keypoints import (
+    LAYOUTS,
+    PROPORTIONS,
+    Tally,
+    choose_layout,
+    describe_tallies,
+    disproportion,
+    keypoint_files,
+    read_openpose,
+    read_people,
+)
 from bayes_body.recording.readers.person import choose_person
 from bayes_body.recording.readers.triangulate import triangulate
 
@@ -34,6 +44,19 @@ def test_people_of_a_frame(tmp_path):
     assert read_people(write(tmp_path / "b.json")).shape == (0, 0, 3)
 
 
+@pytest.mark.parametrize("unknown", ["NaN", "null"])
+def test_a_keypoint_without_a_place_is_not_seen_whatever_its_confidence(tmp_path, unknown):
+    text = f'{{"people": [{{"pose_keypoints_2d": [{unknown}, {unknown}, 0.9, 7, 8, 95]}}]}}'
+    (tmp_path / "a.0000.JSON").write_text(text)
+    tally = Tally()
+    seen = read_people(tmp_path / "a.0000.JSON", tally)
+    np.testing.assert_array_equal(seen, [[[np.nan, np.nan, 0], [7, 8, 1]]])
+    assert list(keypoint_files(tmp_path)) == [0]
+    placed, cut = describe_tallies({"a": tally, "b": Tally()})
+    assert placed == "Keypoints with a confidence and no place (NaN or null) count as not found: a 1."
+    assert cut == "Confidences up to 95 are cut to 1 (a); they look like per cent: divide them by 100."
+
+
 def test_a_series_is_ragged(tmp_path):
     write(tmp_path / "walk_000000000007_keypoints.json", person(18), person(18, 1))
     write(tmp_path / "walk_000000000008_keypoints.json")
@@ -52,9 +75,8 @@ FAULTS = {
     "a list": ("[]", "no list `people`"),
     "two and a half numbers": ('{"people": [{"pose_keypoints_2d": [1, 2, 0.5, 4]}]}', "pose_keypoints_2d: 4 numbers; expected x, y, confidence"),
     "nothing": ('{"people": [{}]}', "person 1: pose_keypoints_2d: none"),
-    "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is not a finite number"),
-    "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is not a finite number"),
-    "NaN": ('{"people": [{"pose_keypoints_2d": [1, NaN, 0.5]}]}', "an entry that is not a finite number"),
+    "text": ('{"people": [{"pose_keypoints_2d": [1, "2", 0.5]}]}', "an entry that is not a number"),
+    "true": ('{"people": [{"pose_keypoints_2d": [1, true, 0.5]}]}', "an entry that is not a number"),
     "far away": ('{"people": [{"pose_keypoints_2d": [1e9, 2, 0.5]}]}', "far outside any image"),
     "a thousand digits": ('{"people": [{"pose_keypoints_2d": [' + "9" * 5000 + ", 2, 0.5]}]}", "not JSON with valid numbers"),
     "nested without end": ("[" * 100000, "not JSON"),
