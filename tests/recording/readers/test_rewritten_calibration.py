@@ -1,9 +1,14 @@
-"""Calibrations of folders with several files, written anew with other cameras: EasyMocap's pair, and PARSEC's text files."""
+"""Calibrations written anew with other cameras: EasyMocap's pair, PARSEC's text files, Caliscope's tables, and Vicon's xcp."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration_vicon import read_vicon
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
 from bayes_body.recording.session.session import CameraSpec
@@ -70,3 +75,39 @@ def test_parsecs_text_files(tmp_path):
     # The session has only one of the cameras.
     path = rewrite_calibration(source, tmp_path / "new", BEFORE[:1], NEW[:1])
     close([read_calibration(path / f"Camera{number}.cal") for number in (1, 2)], [NEW[0], BEFORE[1]])
+
+
+def test_caliscopes_tables(tmp_path):
+    source = tmp_path / "camera_array.toml"
+    tables = [
+        f"[cameras.{number}]\nrotation_count = 0\nsize = [960, 640]\nmatrix = {K.tolist()}\ndistortions = {list(spec.distortion)}\n"
+        f"rotation = {spec.rotation.tolist()}\ntranslation = {spec.translation_m.tolist()}\n"
+        for number, spec in enumerate(BEFORE)
+    ]
+    source.write_text("\n".join(tables))
+    before, new = ([replace(spec, name=f"cam_{number}") for number, spec in enumerate(cameras)] for cameras in (BEFORE, NEW))
+    path = rewrite_calibration(source, tmp_path / "new", before, new)
+    close(read_calibration_toml(path), new)
+    assert path.read_text().count("rotation_count = 0") == 2
+
+
+def test_vicons_xcp(tmp_path):
+    source = tmp_path / "walk.xcp"
+
+    def key_frame(spec):
+        quaternion, centre_mm = Rotation.from_matrix(spec.rotation).as_quat(), -1000 * spec.rotation.T @ spec.translation_m
+        words = {
+            "ORIENTATION": quaternion,
+            "POSITION": centre_mm,
+            "PRINCIPAL_POINT": spec.centre_px,
+            "VICON_RADIAL2": (0, 0, *spec.distortion[:2], 0),
+        }
+        texts = {key: " ".join(map(repr, map(float, values))) for key, values in words.items()}
+        texts["VICON_RADIAL2"] = f"ViconRadial2 {texts['VICON_RADIAL2']}"
+        return f'<KeyFrame FOCAL_LENGTH="{spec.focal_px[0]}" {" ".join(f'{key}="{text}"' for key, text in texts.items())}/>'
+
+    attributes = f'SYSTEM="DV" SENSOR_SIZE="960 640" PIXEL_ASPECT_RATIO="{900 / 920!r}"'
+    listed = [f'<Camera DEVICEID="{spec.name}" {attributes}><KeyFrames>{key_frame(spec)}</KeyFrames></Camera>' for spec in BEFORE]
+    source.write_text(f"<Cameras>{''.join(listed)}</Cameras>")
+    close(read_vicon(source), BEFORE)
+    close(read_vicon(rewrite_calibration(source, tmp_path / "new", BEFORE, NEW)), NEW)
