@@ -168,8 +168,8 @@ def _names(file: _File) -> list[str]:
     node = file.root.getNode("names")
     if node.isSeq():
         nodes = [node.at(i) for i in range(min(node.size(), 10 * MOST_NUMBERS))]
-        known = [key.removeprefix("K_") for key in _keys(file) if key.startswith("K_")]
-        names = [_with_zeros(_text(item), known) for item in nodes]
+        endings = [key.removeprefix("K_") for key in _keys(file) if key.startswith("K_")]
+        names = [_with_zeros(_text(item), endings) for item in nodes]
     else:
         names = [key.removeprefix("K_") for key in _keys(file) if key.startswith("K_")]
     if not names:
@@ -177,11 +177,11 @@ def _names(file: _File) -> list[str]:
     return names
 
 
-def _with_zeros(name: str, known: Sequence[str]) -> str:
+def _with_zeros(name: str, endings: Sequence[str]) -> str:
     """Return the camera's name. YAML reads 01 without quotes as the number 1, while the key is K_01."""
-    if name in known or not name.isdigit():
+    if name in endings or not name.isdigit():
         return name
-    padded = [key for key in known if key.isdigit() and int(key) == int(name)]
+    padded = [key for key in endings if key.isdigit() and int(key) == int(name)]
     return padded[0] if len(padded) == 1 else name
 
 

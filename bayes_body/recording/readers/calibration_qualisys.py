@@ -44,10 +44,10 @@ def read_qualisys(path: Path, note: Callable[[str], None] = unnoted) -> list[Cal
     if not elements:
         models = ", ".join(sorted({camera.get("model", "?") for camera in listed})) or "none"
         raise input_error(path, f"no video camera in it, but {models}", KIND, "name the file that the calibration program wrote")
-    if left_out := [f"{camera.get('serial', '?')} ({camera.get('model', '?')})" for camera in listed if camera not in elements]:
-        note(f"{path.name}: {', '.join(left_out)}: cameras for markers, left out.")
     if len(elements) > MOST_CAMERAS:
         raise input_error(path, f"{len(elements)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
+    if left_out := [f"{camera.get('serial', '?')} ({camera.get('model', '?')})" for camera in listed if not _films(camera)]:
+        note(f"{path.name}: {', '.join(left_out[:MOST_CAMERAS])}: cameras for markers, left out.")
     faults, cameras = Faults(), []
     for number, element in enumerate(elements, 1):
         name = element.get("serial", "")

@@ -62,9 +62,9 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0, note: Callable[[str],
     cameras = dict(camera_tables(tables))
     if not cameras:
         raise input_error(path, "no camera in it", "a table for each camera, such as [cam_01]", "name the file that the calibration program wrote")
-    others = [key for key in tables if key not in cameras and key != NESTED and key not in USUAL]
-    if others:
-        note(f"{path.name}: {', '.join(others)}: not cameras, and not read.")
+    unread = [key for key in tables if key not in cameras and key != NESTED and key not in USUAL]
+    if unread:
+        note(f"{path.name}: {', '.join(unread)}: not cameras, and not read.")
     faults, placed = Faults(), []
     for header, table in _placed(path, cameras, note).items():
         with faults.collect():

@@ -46,8 +46,8 @@ def read_vicon(path: Path, note: Callable[[str], None] = unnoted) -> list[Calibr
         raise input_error(path, f"no video camera in it, but {kinds}", KIND, "name the file that the calibration program wrote")
     if len(films) > MOST_CAMERAS:
         raise input_error(path, f"{len(films)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
-    if left_out := [f"{element.get('DEVICEID', '?')} ({_kind(element)})" for element in elements if element not in films]:
-        note(f"{path.name}: {', '.join(left_out)}: cameras for markers, left out.")
+    if left_out := [f"{element.get('DEVICEID', '?')} ({_kind(element)})" for element in elements if not _films(element)]:
+        note(f"{path.name}: {', '.join(left_out[:MOST_CAMERAS])}: cameras for markers, left out.")
     faults, cameras = Faults(), []
     for number, element in enumerate(films, 1):
         name = element.get("DEVICEID", "")

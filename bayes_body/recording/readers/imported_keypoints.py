@@ -115,8 +115,8 @@ def _read(
                 series = dict(zip(numbers, read_openpose(path, numbers, tally), strict=True))
             cameras.append([visible_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
             if len(numbers) < session.frames:
-                where = f"are not in {path.name}" if track else f"have no file in {path}"
-                lost = f"{session.frames - len(numbers)} of {session.frames} frames {where}"
+                absence = f"are not in {path.name}" if track else f"have no file in {path}"
+                lost = f"{session.frames - len(numbers)} of {session.frames} frames {absence}"
                 remarks.append(f"camera '{name}': {lost}: its keypoints are missing there.")
     faults.raise_any()
     remarks += describe_tallies(tallies)

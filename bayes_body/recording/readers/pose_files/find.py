@@ -43,10 +43,10 @@ def find_pose_files(folder: Path, cameras: Sequence[str]) -> PoseFiles:
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
     paths = {}
     for name in cameras:
-        own = [entry for entry in entries if entry.is_dir() and entry.name in (name, f"{name}_json")]
+        folders = [entry for entry in entries if entry.is_dir() and entry.name in (name, f"{name}_json")]
         files = [entry for entry in entries if entry.is_file() and _is_of(entry, name)]
-        if own:
-            paths[name] = whole_file(own[0]) or own[0]
+        if folders:
+            paths[name] = whole_file(folders[0]) or folders[0]
         elif len(files) > 1:
             names = ", ".join(path.name for path in files)
             raise input_error(folder, f"{names} for camera '{name}'", "one file of keypoints for each camera", "keep only one of them")

@@ -34,9 +34,9 @@ def people_of(rows: Sequence[Float[np.ndarray, "keypoint 3"]]) -> People:
     if not rows:
         return np.zeros((0, 0, 3))
     people = np.stack(rows).astype(float)
-    seen = np.isfinite(people).all(axis=-1) & (np.abs(people[..., :2]) <= FARTHEST_PX).all(axis=-1) & (people[..., 2] > 0)
-    people[..., 2] = np.where(seen, np.minimum(people[..., 2], 1.0), 0.0)
-    people[..., :2][~seen] = np.nan
+    has_place = np.isfinite(people).all(axis=-1) & (np.abs(people[..., :2]) <= FARTHEST_PX).all(axis=-1) & (people[..., 2] > 0)
+    people[..., 2] = np.where(has_place, np.minimum(people[..., 2], 1.0), 0.0)
+    people[..., :2][~has_place] = np.nan
     return people
 
 
