@@ -40,7 +40,7 @@ KeypointsFirst = Annotated[
 ]
 Layout = Annotated[
     str | None,
-    typer.Option("--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18 or HALPE_26; detected by default."),
+    typer.Option("--layout", help="Order of the keypoints: BODY_25, BODY_25B, COCO_17, COCO_18, HALPE_26 or COCO_133; detected by default."),
 ]
 Height = Annotated[float | None, typer.Option("--height", help="The subject's height, metres.")]
 Model = Annotated[str, typer.Option("--model", help="Definition whose body is drawn in check.png.")]

@@ -16,10 +16,11 @@ import numpy as np
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.recording.readers.calibration import Calibrated, calibrated
 from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.options import Axis
 from bayes_body.recording.readers.xml import read_root
 from bayes_body.recording.session.schema import MOST_CAMERAS
 
-UP = "z"
+UP: Axis = "z"
 MM = 1e-3
 SUBPIXELS = 64.0
 # Models that film. A hybrid camera films, and sees markers.

@@ -16,10 +16,11 @@ import numpy as np
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.calibration import Calibrated, calibrated
 from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.options import Axis
 from bayes_body.recording.readers.xml import read_root
 from bayes_body.recording.session.schema import MOST_CAMERAS
 
-UP = "z"
+UP: Axis = "z"
 MM = 1e-3
 KIND = "a calibration of Vicon (*.xcp)"
 # Systems and types of cameras that film.

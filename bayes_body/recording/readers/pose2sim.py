@@ -1,24 +1,19 @@
 """Import a project of Pose2Sim: `calibration/*.toml`, `*.qca.txt` or `*.xcp`, and for each camera `videos/NAME.mp4` and keypoints in `pose`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers import calibration_qualisys, calibration_vicon
 from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
-from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.laboratory import QUALISYS, VICON
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
 from bayes_body.recording.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
-# Of calibrations that state unit and axes: whose they are, their axes, and their reader.
-READERS: Mapping[str, tuple[str, Any, Callable[[Path, Callable[[str], None]], list[Calibrated]]]] = {
-    ".txt": ("Qualisys", calibration_qualisys, calibration_qualisys.read_qualisys),
-    ".xcp": ("Vicon", calibration_vicon, calibration_vicon.read_vicon),
-}
+# Of calibrations that state unit and axes.
+LABORATORIES = {".txt": QUALISYS, ".xcp": VICON}
 WHY_UP = "Pose2Sim's toml does not say which axis of its world points up; it depends on how the scene was measured"
 
 
@@ -56,7 +51,7 @@ def _rig(source: Path, path: Path, options: Options, note: Callable[[str], None]
             note("The calibration is assumed to be in metres, as Pose2Sim writes it; give --unit if it is not.")
         up = up_axis(options.up, WHY_UP)
         return Rig(path, read_calibration_toml(path, unit_m, note), source, up)
-    maker, module, read = READERS[path.suffix]
+    laboratory = LABORATORIES[path.suffix]
     if options.unit not in (None, "mm"):
-        raise input_error("--unit", options.unit or "", f"mm, the unit of {maker}'s calibrations", "leave the option out")
-    return Rig(path, read(path, note), source, up_axis(options.up or module.UP, ""))
+        raise input_error("--unit", options.unit or "", f"mm, the unit of {laboratory.maker}'s calibrations", "leave the option out")
+    return Rig(path, laboratory.read(path, note), source, up_axis(options.up or laboratory.up, ""))

@@ -1,38 +1,12 @@
-"""Import a recording of Qualisys Track Manager's video cameras: one `*.qca.txt` (or xml), and videos whose names are, or end in, a serial number."""
+"""Import a recording of Qualisys Track Manager's video cameras: one `*.qca.txt` (or xml), and a video of each camera."""
 
 from pathlib import Path
 
-from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
-from bayes_body.recording.readers.calibration_qualisys import UP, read_qualisys
-from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
-from bayes_body.recording.readers.options import Options, up_axis
+from bayes_body.recording.readers.laboratory import QUALISYS, import_laboratory
+from bayes_body.recording.readers.options import Options
 from bayes_body.recording.session.session import Session
-
-WHAT = "a folder with one calibration of Qualisys Track Manager (*.qca.txt or *.xml) and a video of each camera"
 
 
 def import_qualisys(source: Path, folder: Path, options: Options | None = None) -> tuple[Session, list[str]]:
-    """Write the session of a Qualisys recording. Its files stay where they are.
-
-    The unit is millimetres, and z points up unless the options name another axis.
-
-    Args:
-        source: holds the calibration, directly or in `calibration`, and the videos, directly or in `videos`.
-        folder: the folder for `session.toml`; created if needed.
-        options: the user's options.
-
-    Returns:
-        The saved session and remarks for the user, one sentence each.
-
-    Raises:
-        FaultyFileError: something in the source is missing or wrong; one sentence for each fault.
-        InputError: `source` is not a folder, an option is wrong, or `folder` cannot be written.
-    """
-    options = options or Options()
-    source_folder(source, WHAT)
-    notes: list[str] = []
-    path = only_file([source / "calibration", source], ("*.qca.txt", "*.xml"), WHAT, notes.append)
-    rig = Rig(path, read_qualisys(path, notes.append), source, up_axis(options.up or UP, ""))
-    session, remarks = assemble(rig, folder.resolve(), f"Qualisys recording {source.resolve().name}", options)
-    session, keypoint_remarks = with_imported_keypoints(session, options)
-    return saved(session), [*notes, *remarks, *keypoint_remarks]
+    """Write the session of a recording, and return it with remarks (`laboratory.import_laboratory`)."""
+    return import_laboratory(QUALISYS, source, folder, options or Options())

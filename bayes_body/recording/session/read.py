@@ -64,8 +64,8 @@ def _subject_table(subject: Subject, positions: frozenset[str]) -> Table:
     if subject.body is not None:
         _add(table, "body", subject.body, "the names and dofs below belong to this body")
     if subject.height_m is not None:
-        _add(table, "height_m", _metres(subject.height_m))
-    _add_mapping(table, "lengths_m", "from joint to joint", subject.lengths_m, _metres)
+        _add(table, "height_m", _rounded(subject.height_m))
+    _add_mapping(table, "lengths_m", "from joint to joint", subject.lengths_m, _rounded)
     _add_mapping(table, "lengths_sd", "relative standard deviation; overall: the share that all have in common", subject.lengths_sd, _rounded)
     _add_mapping(table, "keypoint_offsets_m", "x, y, z of a keypoint beside its joint, in the joint's frame", subject.keypoint_offsets_m, _triple)
     _add_mapping(table, "keypoint_offsets_sd_m", "standard deviations; 0: nothing is said", subject.keypoint_offsets_sd_m, _triple)
@@ -77,7 +77,7 @@ def _subject_table(subject: Subject, positions: frozenset[str]) -> Table:
 
 
 def _radii(radii: tuple[float, float]) -> list[Any]:
-    return [_metres(radius) for radius in radii]
+    return [_rounded(radius) for radius in radii]
 
 
 def _initial_table(session: Session) -> Table:
@@ -88,7 +88,7 @@ def _initial_table(session: Session) -> Table:
     if session.fit_outline:
         _add(table, "fit_outline", True, "fit the apparent thickness of the body to the first frame's silhouettes")
     _add_motions(table, "angles_deg", "positions_m", None, session.initial, session.positions)
-    _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_metres(value) for value in point])
+    _add_mapping(table, "markers_m", "x, y, z in the world", session.initial_markers, lambda point: [_rounded(value) for value in point])
     if session.initial_keypoints:
         cameras = tomlkit.table(is_super_table=True)
         for camera, keypoints in session.initial_keypoints.items():
@@ -110,7 +110,7 @@ def _segmentation_table(segmentation: Segmentation) -> Table:
 def _add_motions(table: Table, angles: str, shifts: str, comment: str | None, values: Mapping[str, float], positions: frozenset[str]) -> None:
     """Add the angles of `values` (radians) in degrees under the key `angles`, and the positions (metres) under the key `shifts`."""
     _add_mapping(table, angles, comment, {k: v for k, v in values.items() if k not in positions}, _degrees)
-    _add_mapping(table, shifts, comment, {k: v for k, v in values.items() if k in positions}, _metres)
+    _add_mapping(table, shifts, comment, {k: v for k, v in values.items() if k in positions}, _rounded)
 
 
 def _add_mapping(table: Table, key: str, comment: str | None, values: Mapping[str, Any], convert: Callable[[Any], Any]) -> None:
@@ -135,7 +135,7 @@ def _camera_table(view: View) -> Table:
     rows: Array = tomlkit.array()
     rows.extend(np.asarray(camera.rotation, float).tolist())
     table.add("rotation", rows.multiline(True).comment("X_camera = rotation X_world + translation"))
-    _add(table, "translation_m", [_metres(value) for value in camera.translation_m])
+    _add(table, "translation_m", [_rounded(value) for value in camera.translation_m])
     if view.images is not None:
         _add(table, "images", view.images, "%04d: the frame's number in four digits")
     if view.video is not None:
@@ -171,16 +171,12 @@ def _add_uncertainty(table: Table, uncertainty: CameraUncertainty) -> None:
         _add(table, "delay_sd_s", _rounded(uncertainty.delay_sd_s), "standard deviation of the delay")
 
 
-def _metres(value: float) -> float:
-    return round(float(value), DECIMALS)
-
-
 def _rounded(value: float) -> float:
     return round(float(value), DECIMALS)
 
 
 def _triple(values: Iterable[float]) -> list[float]:
-    return [_metres(value) for value in values]
+    return [_rounded(value) for value in values]
 
 
 def _degrees(radians: float) -> float:
