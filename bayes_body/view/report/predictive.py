@@ -20,7 +20,8 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.factor import State, variables
 from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
-from bayes_body.model.likelihood.markers_gaussian import Detections, MarkersGaussian
+from bayes_body.model.likelihood.detections import Detections
+from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
 from bayes_body.model.unknowns.apply import Unknowns, node_of, with_changes
 from bayes_body.recording.observation.frames import Frame, read_frame
 from bayes_body.results.metrics.fit import seen_in
