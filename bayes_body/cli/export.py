@@ -12,7 +12,8 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
-    from bayes_body.view.export.motion import Axis, Motion
+    from bayes_body.view.export.motion import Motion
+    from bayes_body.view.export.world import Axis
 
 
 def export(
@@ -42,7 +43,7 @@ def export(
     configure()
     from bayes_body.results.storage.saved_run import load_run
     from bayes_body.view.export.formats import export_formats, files_of, formats_in, targets
-    from bayes_body.view.export.motion import AXES
+    from bayes_body.view.export.world import AXES
 
     names = formats_in(to)
     axis: Axis | None = next((axis for axis in AXES if axis == up), None)

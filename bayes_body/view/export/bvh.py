@@ -24,7 +24,7 @@ from bayes_body.base.geometry.transforms import Transform
 from bayes_body.model.body.placed_body import joint_transforms
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.view.export.motion import Motion, turned
+from bayes_body.view.export.motion import Motion
 
 CENTIMETRES = 100.0
 # Rotations about the joint's own axes, in this order.
@@ -117,12 +117,12 @@ def _placed(motion: Motion) -> tuple[Float[np.ndarray, "pose joint 3 3"], Float[
     """Return the rotations and origins of the joints in the file's axes: in every frame, and last in the zero pose."""
     body, zero = motion.body, np.zeros(len(motion.body.dof_names))
     if motion.parts is not None:
-        rest_pose = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(zero)))
-        rotations, origins = _transforms(body, jnp.asarray(np.concatenate([motion.parts.mean, turned(rest_pose, motion.order)[None]])))
-        return np.asarray(rotations, float), np.asarray(origins, float)
-    units, turn = np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0), np.eye(3)[list(motion.order)]
-    rotations, origins = _transforms(body, jnp.asarray(np.vstack([motion.dofs.mean * units, zero])))
-    return turn @ np.asarray(rotations, float), np.asarray(origins, float) @ turn.T
+        zero = np.asarray(body.placement.configuration(body.skeleton, jnp.asarray(zero)))
+        configurations = motion.parts.mean
+    else:
+        configurations = motion.dofs.mean * np.where(np.array(motion.dof_units) == "deg", np.pi / 180, 1.0)
+    rotations, origins = _transforms(body, jnp.asarray(np.concatenate([configurations, zero[None]])))
+    return np.asarray(rotations, float), np.asarray(origins, float)
 
 
 @jax.jit

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from bayes_body.base.files.atomic import replacing
 from bayes_body.base.geometry import rigid
-from bayes_body.view.export.motion import AXES, Motion, Parts
+from bayes_body.view.export.motion import Motion, Parts
+from bayes_body.view.export.world import AXES, dof_axes, stated_axes
 
 
 def write_csv(motion: Motion, path: Path) -> None:
     """Write the file: `frame`, `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
 
-    A frame has its number in the recording; time begins at the first one.
+    A frame has its number in the recording; time begins at the first one. The dofs are followed by the axis of each angle of the root, a unit vector
+    in the file's axes (`root_yaw_axis_x_1` and so on), the same in every row.
 
     A part of a loose-limbed body has its origin, the mean unit quaternion (unit 1), and the spread of the rotation about the part's own axes.
 
@@ -41,11 +43,19 @@ def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]
     for d, (dof, unit) in enumerate(zip(motion.dof_names, motion.dof_units, strict=True)):
         for name in motion.moments:
             yield f"{dof}_{name}_{unit}", getattr(motion.dofs, name)[:, d]
+    if motion.dof_names:
+        yield from _axis_columns(motion)
     for k, angle in enumerate(motion.clinical.names):
         for name in motion.moments:
             yield f"{angle}_{name}_deg", getattr(motion.clinical.moments, name)[:, k]
     if motion.parts is not None:
         yield from _part_columns(motion.parts, motion.moments)
+
+
+def _axis_columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
+    for d, vector in stated_axes(motion.body):
+        for axis, entry in zip(AXES, vector, strict=True):
+            yield f"{motion.dof_names[d]}_axis_{axis}_1", np.full(motion.frames, entry)
 
 
 def _part_columns(parts: Parts, moments: Sequence[str]) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
@@ -66,9 +76,10 @@ def write_npz(motion: Motion, path: Path) -> None:
 
     Arrays: `frame` (numbers in the recording), `time_s` (from the first one), `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`,
     `marker_sd_m`, `marker_q05_m`, `marker_q95_m` (frame, marker, 3); `angle_names` and `angle_mean_deg`, ... (frame, angle); `shift_names` and
-    `shift_mean_m`, ... (frame, shift). A loose-limbed body has no angles and no shifts, but `part_names`, `part_mean_m`, ... (frame, part, 3),
-    `part_quaternion_mean` (frame, part, 4), and `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. Every body with anatomical
-    axes has `clinical_names` and `clinical_mean_deg`, ... (frame, angle). The file of a mode seeker's run has the means only.
+    `shift_mean_m`, ... (frame, shift); `angle_axes` and `shift_axes`, the axes in the zero pose, unit vectors in the file's axes. A loose-limbed
+    body has no angles and no shifts, but `part_names`, `part_mean_m`, ... (frame, part, 3), `part_quaternion_mean` (frame, part, 4), and
+    `part_rotation_sd_deg`, ... (frame, part, 3) about the part's own axes. Every body with anatomical axes has `clinical_names` and
+    `clinical_mean_deg`, ... (frame, angle). The file of a mode seeker's run has the means only.
 
     Raises:
         InputError: the file system does not accept the file.
@@ -84,6 +95,8 @@ def write_npz(motion: Motion, path: Path) -> None:
         "angle_names": names[units == "deg"],
         "shift_names": names[units == "m"],
     }
+    axes = dof_axes(motion.body) if motion.dof_names else np.zeros((0, 3))
+    arrays |= {"angle_axes": axes[units == "deg"], "shift_axes": axes[units == "m"]}
     for name in motion.moments:
         arrays[f"marker_{name}_m"] = getattr(motion.markers, name)
         values = getattr(motion.dofs, name)

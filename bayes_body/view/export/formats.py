@@ -12,8 +12,9 @@ from bayes_body.view.export.bvh import write_bvh
 from bayes_body.view.export.c3d import write_c3d
 from bayes_body.view.export.csv import write_csv, write_npz
 from bayes_body.view.export.mot import mot_files, write_mot
-from bayes_body.view.export.motion import MODE_SEEKER_MOMENTS, Angles, Axis, Motion, RunMoments, read_motion
+from bayes_body.view.export.motion import MODE_SEEKER_MOMENTS, Angles, Motion, RunMoments, read_motion
 from bayes_body.view.export.trc import trc_files, write_trc
+from bayes_body.view.export.world import Axis
 
 WRITERS: dict[str, Callable[[Motion, Path], None]] = {
     "trc": write_trc,

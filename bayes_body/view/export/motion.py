@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_body.base.errors import InputError
-from bayes_body.base.geometry import rigid, rotations
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.results.clinical.gait import POINTS, Event, gait_of
@@ -20,9 +19,8 @@ from bayes_body.results.clinical.trajectories import marker_paths
 from bayes_body.results.posterior.moments import Moments
 from bayes_body.results.storage.saved_moments import angle_moments, marker_moments, mean_configurations
 from bayes_body.results.storage.saved_run import SavedRun
+from bayes_body.view.export.world import AXES, Axis, Order, order_of, turned_body, turned_dofs, turned_parts
 
-type Axis = Literal["x", "y", "z"]
-AXES: tuple[Axis, ...] = ("x", "y", "z")
 MODE_SEEKER_MOMENTS = ("mean",)
 # Fields of `RunMoments` with angles, or none.
 type Angles = Literal["clinical", "opensim", "none"]
@@ -56,11 +54,10 @@ class Motion:
         markers: (frame, marker, 3), metres.
         dof_names: names of the body's dofs; none if the body is placed by its parts.
         dof_units: unit of each dof, `deg` or `m`.
-        dofs: (frame, dof), degrees and metres.
+        dofs: (frame, dof), degrees and metres; they place `body`.
         lost: frames that were lost in at least one run: no particle of it explained them, and their values are predictions. Also frames in which a
             body is off the person (`frames_off` of `summary.json`).
-        body: the run's body, to compute joints from the dofs.
-        order: the session's axes that are x, y and z here.
+        body: the run's body, in the axes of this motion.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
         first_frame: number of the first frame in the recording.
         parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
@@ -78,7 +75,6 @@ class Motion:
     dofs: Moments
     lost: Bool[np.ndarray, " frame"]
     body: Body
-    order: tuple[int, int, int]
     moments: tuple[str, ...] = Moments._fields
     first_frame: int = 0
     parts: Parts | None = None
@@ -152,6 +148,7 @@ def read_motion(
         run: the run, loaded from its folder; or its moments, so that several formats share them.
         fps: frames a second, if the session's value is wrong; no frame is added or left out.
         up: the axis that points up in the result; the session's by default. The axes are permuted cyclically (x, y, z to y, z, x): no reflection.
+            Markers, parts and the root's positions are turned. An angle of the root keeps its value: its axis is turned.
         angles: clinical angles, OpenSim's coordinates in their place, or none.
         events: whether to look for gait events.
 
@@ -160,9 +157,9 @@ def read_motion(
     """
     run_moments = run if isinstance(run, RunMoments) else RunMoments(run)
     run = run_moments.run
-    order = _order(run.session.up, up or run.session.up)
+    order = order_of(run.session.up, up or run.session.up)
     parts = _parts(run_moments, order)
-    names, units, dofs = _dofs(run_moments) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    names, units, dofs = _dofs(run_moments, order) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
     rate = run.fps if fps is None else fps
     return Motion(
         title=run.session.title,
@@ -174,8 +171,7 @@ def read_motion(
         dof_units=units,
         dofs=dofs,
         lost=lost_frames(run),
-        body=run.settled_model.body,
-        order=order,
+        body=turned_body(run.settled_model.body, order),
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         first_frame=run.first_frame,
         parts=parts,
@@ -193,15 +189,16 @@ def lost_frames(run: SavedRun) -> Bool[np.ndarray, " frame"]:
     return lost
 
 
-def _dofs(run_moments: RunMoments) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
-    """Return the names, units and moments of the dofs."""
+def _dofs(run_moments: RunMoments, order: Order) -> tuple[tuple[str, ...], tuple[str, ...], Moments]:
+    """Return the names, units and moments of the dofs, in other axes."""
     body = run_moments.run.model.body
     angular = np.array(body.skeleton.topology.angular)
     units = tuple("deg" if angle else "m" for angle in angular)
-    return body.dof_names, units, Moments(*(np.where(angular, np.degrees(values), values) for values in run_moments.variables))
+    dofs = Moments(*(np.where(angular, np.degrees(values), values) for values in run_moments.variables))
+    return body.dof_names, units, turned_dofs(dofs, body, order)
 
 
-def _parts(run_moments: RunMoments, order: tuple[int, int, int]) -> Parts | None:
+def _parts(run_moments: RunMoments, order: Order) -> Parts | None:
     """Return the parts of a loose-limbed body, in other axes."""
     placement = run_moments.run.model.body.placement
     if not isinstance(placement, ByParts):
@@ -210,13 +207,7 @@ def _parts(run_moments: RunMoments, order: tuple[int, int, int]) -> Parts | None
     origins = Moments(*(values[..., list(order)] for values in coordinates))
     # Rotation vectors are about the part's own axes, which do not change with those of the world.
     turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
-    return Parts(placement.names, _continued(turned(run_moments.mean_parts, order)), origins, turns)
-
-
-def turned(parts: Float[np.ndarray, "*batch 7"], order: tuple[int, int, int]) -> Float[np.ndarray, "*batch 7"]:
-    """Return rigid transforms in a world whose axes x, y and z are these of the given world."""
-    turn = rotations.from_matrix(np.eye(3)[list(order)])
-    return np.asarray(rigid.compose(rigid.rigid(np.zeros(3), turn), parts))
+    return Parts(placement.names, _continued(turned_parts(run_moments.mean_parts, order)), origins, turns)
 
 
 def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "frame part 7"]:
@@ -224,9 +215,3 @@ def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "f
     q = parts[..., 3:]
     signs = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).cumprod(axis=0)
     return np.concatenate([parts[..., :3], q * np.concatenate([np.ones_like(q[:1, :, 0]), signs])[..., None]], axis=-1)
-
-
-def _order(axis: Axis, wanted: Axis) -> tuple[int, int, int]:
-    """Return the given axes that become x, y and z. It is a cyclic permutation, so standard deviations and quantiles still belong to single axes."""
-    turn = AXES.index(axis) - AXES.index(wanted)
-    return turn % 3, (1 + turn) % 3, (2 + turn) % 3

@@ -13,6 +13,7 @@ from bayes_body.recording.readers.mocap import read_motion
 from bayes_body.results.posterior.moments import Moments
 from bayes_body.view.export.bvh import write_bvh
 from bayes_body.view.export.motion import Motion as Exported
+from bayes_body.view.export.world import turned_body, turned_dofs
 
 # Fits and replications run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -87,7 +88,9 @@ def test_an_exported_bvh_gives_its_angles_back(schema, angles, lengths, tmp_path
     turned, poses = np.array(body.skeleton.topology.angular), _array(body, angles)
     dofs = Moments(*[np.where(turned, np.degrees(poses), poses)] * len(Moments._fields))
     units = tuple("deg" if angular else "m" for angular in turned)
-    write_bvh(Exported("t", 60.0, up, (), dofs, body.dof_names, units, dofs, np.zeros(FRAMES, bool), body, order), tmp_path / "t.bvh")
+    placing = turned_dofs(dofs, body, order)
+    motion = Exported("t", 60.0, up, (), dofs, body.dof_names, units, placing, np.zeros(FRAMES, bool), turned_body(body, order))
+    write_bvh(motion, tmp_path / "t.bvh")
     found = retarget(build_body("deutscher_31", schema), read_motion(tmp_path / "t.bvh"), schema=schema)
     assert found.exact
     difference = found.angles - poses

@@ -19,6 +19,7 @@ from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.export.bvh import write_bvh
 from bayes_body.view.export.formats import export
 from bayes_body.view.export.motion import Motion, Parts
+from bayes_body.view.export.world import turned_body
 
 # Six decimals of a centimetre and of a degree, over a chain of a metre; and what 32 bits hold of two metres.
 PRINTED_M = 5e-7
@@ -55,12 +56,14 @@ def placed(body, poses):
 def motion_of(body, configurations, order=(0, 1, 2), up="z"):
     if body.variable == "parts":
         return loose_motion_of(body, configurations, order, up)
-    poses = configurations
+    poses = configurations.copy()
+    # The root's positions are the first three dofs, x, y and z.
+    poses[:, :3] = poses[:, list(order)]
     units = tuple("deg" if angular else "m" for angular in body.skeleton.topology.angular)
     mean = np.where(np.array(units) == "deg", np.degrees(poses), poses)
     none = np.zeros((len(poses), 0, 3))
     markers, dofs = Moments(none, none, none, none), Moments(mean, 0 * mean, mean, mean)
-    return Motion("walk", 59.94, up, (), markers, body.dof_names, units, dofs, np.zeros(len(poses), bool), body, order)
+    return Motion("walk", 59.94, up, (), markers, body.dof_names, units, dofs, np.zeros(len(poses), bool), turned_body(body, order))
 
 
 def loose_motion_of(body, parts, order, up):
@@ -73,7 +76,7 @@ def loose_motion_of(body, parts, order, up):
     mean[..., 3:] = np.stack([(turn * Rotation.from_quat(each, scalar_first=True)).as_quat(scalar_first=True) for each in parts[..., 3:]])
     spread = Moments(*np.zeros((4, *parts.shape[:2], 3)))
     given = Parts(names, mean, spread, spread)
-    return Motion("walk", 59.94, up, (), markers, (), (), dofs, np.zeros(len(parts), bool), body, order, parts=given)
+    return Motion("walk", 59.94, up, (), markers, (), (), dofs, np.zeros(len(parts), bool), turned_body(body, order), parts=given)
 
 
 def by_the_rules(path):

@@ -94,7 +94,7 @@ def exported(tmp_path):
         order = {"z": [0, 1, 2], "y": [1, 2, 0], "x": [2, 0, 1]}[up]
         moments = Moments(*(mean[..., order] + shift for shift in (0.0, 0.0, -0.1, 0.1)))._replace(sd=np.full((7, 15, 3), 0.02))
         none = Moments(*(np.zeros((7, 0)),) * 4)
-        motion = Motion("a walk", 59.94, up, MARKERS, moments, (), (), none, np.zeros(7, bool), None, (0, 1, 2))
+        motion = Motion("a walk", 59.94, up, MARKERS, moments, (), (), none, np.zeros(7, bool), None)
         write(motion, tmp_path / f"own{suffix}")
         return mean, read_motion(tmp_path / f"own{suffix}")
 
