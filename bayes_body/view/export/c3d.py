@@ -3,7 +3,7 @@ r"""C3D, the binary format of motion laboratories (c3d.org), written with ezc3d:
 The points are the markers' means. A point's residual, which usually measures the agreement of the cameras, is the posterior's standard deviation: the
 root of the mean variance of the three axes, $\sqrt{(s_x^2 + s_y^2 + s_z^2)/3}$. A C3D residual is a byte, of which seven bits are used, in steps of
 |POINT:SCALE| mm. On request, the moments of each axis are stored in full precision as further points, with `_sd`, `_q05` and `_q95` after the
-marker's name. The file of a mode seeker's run has the means only, and its residuals are 0.
+marker's name. The file of a mode seeker's run has the means only, and its residuals are 0. A point without a number is missing: its residual is -1.
 
 The format's description (C3D user guide, "Notes for programmers, floating-point 3D data") has the residual in the low byte of a point's fourth word,
 and the cameras that saw the point in the high byte. The scale is in the header and in POINT:SCALE. ezc3d 1.7 writes the residual into the high byte,
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import replacing
@@ -90,6 +90,8 @@ def _add_integers(c3d: Any, group: str, name: str, values: list[int]) -> None:
 MILLIMETRES = 1000.0
 # Largest number of steps (readers may take the byte as signed), and the smallest useful step, mm.
 LARGEST_STEP, FINEST = 127, 0.01
+# The residual of a missing point, whose position is 0.
+MISSING = -1
 # Places in the header: the scale, and the number of the first block of data. Size of a block, bytes.
 SCALE, FIRST_BLOCK, BLOCK = slice(12, 16), slice(16, 18), 512
 # The format counts frames in 16 bits.
@@ -117,7 +119,7 @@ def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
     if motion.frames > MOST_FRAMES:
         raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
     moments = motion.moments if spread else ("mean",)
-    residuals, step = _residuals(motion, len(moments))
+    residuals, step = _residuals(motion, moments)
     with replacing(path) as partial:
         # ezc3d appends its ending to any other.
         draft = partial.with_name(f"{partial.name}.c3d")
@@ -152,19 +154,26 @@ def _meaning(name: str, motion: Motion) -> str:
 def _points(markers: Moments, moments: Sequence[str]) -> Float[np.ndarray, "4 point frame"]:
     sets = np.concatenate([getattr(markers, name) for name in moments], axis=1)
     points = np.ones((4, sets.shape[1], sets.shape[0]))
-    points[:3] = MILLIMETRES * sets.transpose(2, 1, 0)
+    points[:3] = MILLIMETRES * np.where(_missing(sets)[..., None], 0.0, sets).transpose(2, 1, 0)
     return points
 
 
-def _residuals(motion: Motion, sets: int) -> tuple[Int[np.ndarray, "frame point"], float]:
+def _missing(positions: Float[np.ndarray, "frame point 3"]) -> Bool[np.ndarray, "frame point"]:
+    return ~np.isfinite(positions).all(axis=-1)
+
+
+def _residuals(motion: Motion, moments: Sequence[str]) -> tuple[Int[np.ndarray, "frame point"], float]:
     """Return the residuals in steps, and the smallest possible step, millimetres, to which the format rounds them.
 
-    There are `sets` points for each marker; only the first, the mean, has a residual that is not 0.
+    There are points of each of the `moments`; only those of the first, the mean, have a residual that is not 0. A missing point has -1.
     """
-    sd = MILLIMETRES * np.sqrt((motion.markers.sd**2).mean(axis=-1)) * motion.has_intervals
-    step = max(math.ceil(sd.max() / (LARGEST_STEP - 1) / FINEST) * FINEST, FINEST)
-    steps = np.zeros((len(sd), sets * sd.shape[1]), int)
+    markers = motion.markers
+    sd = MILLIMETRES * np.sqrt((markers.sd**2).mean(axis=-1)) if motion.has_intervals else np.zeros(markers.mean.shape[:2])
+    sd[~np.isfinite(sd)] = 0
+    step = max(math.ceil(sd.max(initial=0) / (LARGEST_STEP - 1) / FINEST) * FINEST, FINEST)
+    steps = np.zeros((len(sd), len(moments) * sd.shape[1]), int)
     steps[:, : sd.shape[1]] = np.round(sd / step)
+    steps[_missing(np.concatenate([getattr(markers, name) for name in moments], axis=1))] = MISSING
     return steps, step
 
 
