@@ -17,7 +17,7 @@ from bayes_body.results.posterior.moments import Moments
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.export.formats import export
 from bayes_body.view.export.motion import read_motion
-from bayes_body.view.export.world import turned_body, turned_dofs
+from bayes_body.view.export.world import stated_axes, turned_body, turned_dofs
 
 PLACED = jax.jit(jax.vmap(placed_markers, (None, 0)))
 ANGLES = ("root_yaw", "root_roll", "root_pitch")
@@ -92,9 +92,12 @@ def test_the_turned_body_stands_where_the_markers_are(run, up):
 
 
 @pytest.mark.parametrize("preset", [[], ["x90", "z180"], ["y270"]])
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [1, -1, 0])
 def test_a_root_with_axes_of_its_own(preset, sign):
-    """A root that lies on its side, and whose y points the other way: positions, and quantiles, which exchange their places with the sign."""
+    """A root that lies on its side, and whose y points the other way: positions, and quantiles, which exchange their places with the sign.
+
+    Without its y (sign 0), it has not all three positions: the others keep their values, and their axes are stated.
+    """
     body = build_body("deutscher_31", load_body("deutscher_31"))
     topology = body.skeleton.topology
     motions = (tuple(m._replace(sign=sign) if m.dof == 1 else m for m in topology.motions[0]), *topology.motions[1:])
@@ -106,6 +109,7 @@ def test_a_root_with_axes_of_its_own(preset, sign):
     moments = Moments(draws.mean(1), draws.std(1), np.quantile(draws, 0.05, 1), np.quantile(draws, 0.95, 1))
     for order in ((1, 2, 0), (2, 0, 1)):
         turned = turned_dofs(moments, body, order)
+        assert [dof for dof, _ in stated_axes(turned_body(body, order))] == ([3, 4, 5] if sign else [0, 2, 3, 4, 5])
         assert (turned.q05 < turned.q95).all() and np.array_equal(np.sort(turned.sd), np.sort(moments.sd))
         expected = np.asarray(PLACED(body, jnp.asarray(moments.mean)))[..., list(order)]
         assert np.abs(np.asarray(PLACED(turned_body(body, order), jnp.asarray(turned.mean))) - expected).max() < 2e-6
