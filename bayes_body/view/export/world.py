@@ -45,8 +45,8 @@ def turned_body(body: Body, order: Order) -> Body:
     motions = list(skeleton.topology.motions)
     for j, shifts, directions in _root_positions(skeleton):
         # In the joint's own axes, which turned, the directions of the world did not.
-        own = np.round(presets[j].T @ directions).astype(int)
-        renamed = {shift.dof: shift._replace(axis=int(np.abs(a).argmax()), sign=int(a.sum())) for shift, a in zip(shifts, own.T, strict=True)}
+        local = np.round(presets[j].T @ directions).astype(int)
+        renamed = {shift.dof: shift._replace(axis=int(np.abs(a).argmax()), sign=int(a.sum())) for shift, a in zip(shifts, local.T, strict=True)}
         motions[j] = tuple(renamed.get(motion.dof, motion) for motion in motions[j])
     turned = replace(
         skeleton,
