@@ -1,16 +1,19 @@
 r"""Smooth motion with its velocity in the state (Sidenbladh, Black & Fleet 2000, 5): pose and velocity are two sampled variables,
 
-$$s_t \sim \mathcal N(s_{t-1} + v_{t-1}\,\Delta t,\ \sigma^2)\ \text{truncated to}\ [\mathrm{low}, \mathrm{high}], \qquad
-v_t \sim \mathcal N(v_{t-1},\ \sigma_v^2).$$
+$$s_t \sim \mathcal N(m_t,\ \sigma^2)\ \text{truncated to}\ [\mathrm{low}, \mathrm{high}], \qquad
+v_t \sim \mathcal N\big((m_t - s_{t-1}) / \Delta t,\ \sigma_v^2\big), \qquad
+m_t = \operatorname{clip}(s_{t-1} + v_{t-1}\,\Delta t,\ \mathrm{low},\ \mathrm{high}).$$
 
 The truncated normal is normalised given the previous state. A prediction beyond a limit counts as the limit: otherwise a fast movement into a limit
-would leave no mass inside. At the first pose the velocity is 0. In `second_order` the velocity is the last change of the pose, which is noisier.
+would leave no mass inside. The limit stops the movement: the velocity that goes on is the one with which the limit was reached. Otherwise it would
+hold the pose at the limit for as long as it lasts, with hardly any spread. At the first pose the velocity is 0. In `second_order` the velocity is the
+last change of the pose, which is noisier.
 
 With a time $\tau$ that a velocity lasts, it is an Ornstein-Uhlenbeck process (Johnson, London, Lea & Durban 2008, for tracks of animals). It is
 multiplied by $\phi = e^{-\Delta t / \tau}$ from frame to frame, so that a dof that no image sees does not run away. The first velocity is drawn from
 its stationary distribution,
 
-$$v_t \sim \mathcal N\big(\phi\, v_{t-1} - \omega^2 (s_{t-1} - \bar s)\,\Delta t,\ \sigma_v^2\big), \qquad
+$$v_t \sim \mathcal N\big(\phi\, (m_t - s_{t-1}) / \Delta t - \omega^2 (s_{t-1} - \bar s)\,\Delta t,\ \sigma_v^2\big), \qquad
 v_0 \sim \mathcal N(0,\ \sigma_0^2), \quad \sigma_0^2 = \sigma_v^2 / (1 - \phi^2).$$
 
 With a spread S as well, the velocity turns back to a pose at rest, with $\omega = \sigma_0 / S$: a damped oscillator, whose pose has about the
@@ -101,8 +104,11 @@ class Options(Schema):
 
 def _conditional(arguments: Arguments, previous: State) -> dict[str, Distribution]:
     pose, velocity = previous[POSE], previous[VELOCITY]
-    predicted = jnp.clip(pose + arguments.step_s * velocity, arguments.low, arguments.high)
-    onward = arguments.retention * velocity - arguments.pull * (pose - arguments.rest_pose)
+    free = pose + arguments.step_s * velocity
+    predicted = jnp.clip(free, arguments.low, arguments.high)
+    # Where no limit is in reach, nothing is added.
+    stopped = velocity + (predicted - free) / arguments.step_s
+    onward = arguments.retention * stopped - arguments.pull * (pose - arguments.rest_pose)
     return {POSE: TruncatedWalk(predicted, arguments.sd, arguments.low, arguments.high), VELOCITY: _normal(onward, arguments.velocity_sd)}
 
 

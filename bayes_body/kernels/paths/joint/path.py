@@ -18,7 +18,7 @@ step. The result then is nearer to the mean of the posterior than to its mode, w
 
 So paths stay inside the limits because they must, and not because a walk stops there. The normaliser of each truncated step, and a prediction that
 counts as the limit, have no site. Both draw a path to a limit that it touches for many frames: a truncated walk is sticky there. The Gaussian then
-lies too far from the limit, by one to three of its standard deviations, and the velocity is too near to 0.
+lies too far from the limit, by one to three of its standard deviations.
 
 The ratio of the exact density to the Gaussian is known at every path. In a window of frames it gives importance weights, whose Pareto k says whether
 the Gaussian is good enough for these frames. It sees outliers and bent likelihoods. It may not see stickiness, which is small in a frame and adds up
