@@ -77,6 +77,27 @@ class TreeChart:
         return jnp.sum(rotations.log_jacobian(position[self.name].reshape(-1, 6)[:, 3:]))
 
 
+@partial(jax.tree_util.register_dataclass, meta_fields=["names"], data_fields=["chart"])
+@dataclass(frozen=True)
+class ChartBeside:
+    """Coordinates of a state with further variables, which are numbers without limits and their own coordinates."""
+
+    names: tuple[str, ...]
+    chart: Chart
+
+    def constrain(self, position: State) -> dict[str, Array]:
+        """Return the sampled variables at a position."""
+        return {**self.chart.constrain(position), **{name: position[name] for name in self.names}}
+
+    def unconstrain(self, state: State) -> dict[str, Array]:
+        """Return the position of a state."""
+        return {**self.chart.unconstrain(state), **{name: state[name] for name in self.names}}
+
+    def log_determinant(self, position: State) -> Scalar:
+        """Return the log-Jacobian, that of the other variables."""
+        return self.chart.log_determinant(position)
+
+
 def relative_to_parents[Parts: Array | np.ndarray](parts: Parts, parents: Sequence[int]) -> Parts:
     """Return every part relative to its parent; the first part stays as it is."""
     above = np.array([max(parent, 0) for parent in parents])

@@ -102,7 +102,7 @@ class Mixture(NamedTuple):
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["variable", "names", "space"],
+    meta_fields=["variable", "names", "space", "sizes"],
     data_fields=["unaries", "pairs", "prior", "proposals", "joint_factors"],
 )
 @dataclass(frozen=True)
@@ -119,6 +119,7 @@ class Graph:
         proposals: distributions that say where to look for the nodes. They are not factors.
         joint_factors: value of the variable -> log of the factors that read more than two nodes, or None. Only the weights of the joint draws
             contain them.
+        sizes: variables with one number for each node. These are the last entries of a node's value.
     """
 
     variable: str
@@ -129,6 +130,11 @@ class Graph:
     prior: Mixture | None = None
     proposals: tuple[Mixture, ...] = ()
     joint_factors: Any = None
+    sizes: tuple[str, ...] = ()
+
+    def sampled(self, value: Float[Array, "node *entry"]) -> dict[str, Array]:
+        """Return the sampled variables of a state in which the nodes have these values."""
+        return split(self.variable, self.sizes, value)
 
     @property
     def count(self) -> int:
@@ -176,6 +182,13 @@ class Graph:
                     group[a] = b
                     edges.append((number, row))
         return tuple(edges)
+
+
+def split(variable: str, sizes: tuple[str, ...], value: Float[Array, "node *entry"]) -> dict[str, Array]:
+    """Return the plated variable and the sizes of the nodes from values whose last entries are the sizes."""
+    if not sizes:
+        return {variable: value}
+    return {variable: value[:, : -len(sizes)], **{name: value[:, number - len(sizes)] for number, name in enumerate(sizes)}}
 
 
 def check_rows(name: str, rows: Sequence[Sequence[int]], names: Sequence[str]) -> None:

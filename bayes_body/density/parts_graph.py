@@ -3,6 +3,9 @@ r"""The density of a frame as a graph: the entries of its plated variable are th
 The prediction is a mixture over ancestors of products over nodes, $\sum_a w_a \prod_i p(x_i \mid x^a_{t-1})$. Messages use each node's own mixture,
 $\sum_a w_a\, p(x_i \mid x^a_{t-1})$. The joint draws sum over ancestors exactly. Terms of the density that are not plates enter only by the weights
 of the joint draws.
+
+Where the sizes of the nodes are not known, they are further variables of the state with a number for each node, and belong to the value of a node
+(density/sized_nodes.py).
 """
 
 from dataclasses import dataclass, replace
@@ -15,23 +18,26 @@ from jaxtyping import Array, Float
 from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Scalar
 from bayes_body.density.density import Density, Predictions
-from bayes_body.density.graph import Graph, Mixture, Term, check_rows
+from bayes_body.density.graph import Graph, Mixture, Term, check_rows, split
 from bayes_body.density.plate import Plate
+from bayes_body.density.sized_nodes import size_normals, sized_mixture, sized_plate, sized_space
+from bayes_body.density.spaces import Flat, Space
 from bayes_body.density.spaces import Plate as PlateSpace
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["variable"], data_fields=["density", "predictions"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["variable", "sizes"], data_fields=["density", "predictions"])
 @dataclass(frozen=True)
 class Rest:
-    """The log of the factors that are not plates, as a function of the plated variable. `density` has only these factors."""
+    """The log of the factors that are not plates, as a function of the nodes' values. `density` has only these factors."""
 
     variable: str
+    sizes: tuple[str, ...]
     density: Density
     predictions: Predictions
 
     def __call__(self, value: Float[Array, "node *entry"]) -> Scalar:
         """Return the log of these factors. Those that read the previous frame are averaged over the ancestors of the value."""
-        density, state = self.density, self.density.transition.with_derived({self.variable: value})
+        density, state = self.density, self.density.transition.with_derived(split(self.variable, self.sizes, value))
         if not density.reads_previous:
             return density.log_weight(state, density.ancestor(0))
         return density.marginal(state, predictions=self.predictions) - replace(density, factors=()).marginal(state, predictions=self.predictions)
@@ -52,11 +58,15 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
     remedy = 'give the body the placement "parts": [body] placement = "parts"'
     spaces = {name: density.transition.space(name, first[name].shape) for name in conditional}
     name, space = next(iter(spaces.items()))
-    if len(spaces) > 1 or not isinstance(space, PlateSpace):
+    sizes = tuple(spaces)[1:]
+    if not isinstance(space, PlateSpace) or not all(_is_size(spaces[size], space) for size in sizes):
         raise input_error(user, f"the state is {', '.join(conditional)}", "one variable of several entries, such as the parts of a body", remedy)
     if not hasattr(conditional[name], "entries"):
         problem = f"the distribution of '{name}' does not say how each entry moves"
         raise input_error(f"dynamics '{density.transition.name}'", problem, "a method `entries()`", "take rigid_walk")
+    predictions = density.predictions()
+    log_weights = density.previous.log_weights
+    normals = size_normals([predictions[size] for size in sizes], log_weights) if sizes else None
     unaries, pairs, joint_factors = [], [], []
     for factor in density.factors:
         plate = factor.log_potential
@@ -64,19 +74,29 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
             joint_factors.append(factor)
             continue
         check_rows(factor.name, plate.rows, space.names)
+        plate = plate if normals is None else sized_plate(plate, sizes, normals)
         term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
         (unaries if len(plate.rows[0]) == 1 else pairs).append(term)
-    predictions = density.predictions()
+    prior, proposals = _by_node(predictions[name], log_weights), density.proposals
+    if normals is not None:
+        prior, proposals = sized_mixture(prior, normals), tuple(sized_mixture(mixture, normals) for mixture in proposals)
+    rest = replace(density, factors=tuple(joint_factors))
     return Graph(
         variable=name,
         names=space.names,
-        space=space.space,
+        space=sized_space(space.space, sizes) if sizes else space.space,
         unaries=tuple(unaries),
         pairs=tuple(pairs),
-        prior=_by_node(predictions[name], density.previous.log_weights),
-        proposals=density.proposals,
-        joint_factors=Rest(name, replace(density, factors=tuple(joint_factors)), predictions) if joint_factors else None,
+        prior=prior,
+        proposals=proposals,
+        joint_factors=Rest(name, sizes, rest, {name: predictions[name]}) if joint_factors else None,
+        sizes=sizes,
     )
+
+
+def _is_size(space: Space, nodes: PlateSpace) -> bool:
+    """Whether a variable has one number for each node."""
+    return isinstance(space, Flat) and space.labels == nodes.names
 
 
 def _by_node(predictions: object, log_weights: Float[Array, " particle"]) -> Mixture:

@@ -7,6 +7,7 @@ from bayes_body.base.registry import find
 from bayes_body.density.factor import Factor, State
 from bayes_body.model.body.placement import PARTS
 from bayes_body.model.definition import Definition
+from bayes_body.model.unknowns import lengths, widths
 from bayes_body.model.unknowns.unknown import Setting, Unknown
 
 
@@ -19,10 +20,11 @@ def unknowns_of(definition: Definition, setting: Setting, cameras: int) -> tuple
         cameras: number of cameras that have what the likelihoods read.
 
     Raises:
-        InputError: the body is placed by parts, whose coordinates have no room for them, or an option does not fit the body.
+        InputError: the body is placed by parts, and it is no size of a part; or an option does not fit the body.
     """
-    if definition.unknowns and definition.placement == PARTS:
-        table, expected = f"[[unknown]] kind = '{definition.unknowns[0].kind}'", 'a body with placement = "angles"'
+    other = next((term.kind for term in definition.unknowns if term.kind not in (lengths.NAME, widths.NAME)), None)
+    if other and definition.placement == PARTS:
+        table, expected = f"[[unknown]] kind = '{other}'", 'kind = "lengths" or "widths", or a body with placement = "angles"'
         raise input_error(table, 'with a body that is placed by "parts"', expected, "take the table out, or place the body by angles")
     enough = [term for term in definition.unknowns if cameras >= getattr(term.options, "least_cameras", 1)]
     return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in enough)

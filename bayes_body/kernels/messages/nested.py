@@ -108,7 +108,7 @@ def tree_of(graph: Graph, root: int = 0) -> Tree:
         raise input_error("nested draws", f"no edges lead from '{graph.names[root]}' to '{unreached}'", "one tree", "take message passing")
     for edge in edges.values():
         plate = graph.pairs[edge.term].plate
-        if plate.draw is None or plate.log_draw is not None:
+        if plate.draw is None or plate.log_draw is not None or plate.log_beside is not None:
             nodes = f"the edge between '{graph.names[edge.parent]}' and '{graph.names[edge.child]}'"
             remedy = "take message passing"
             raise input_error("nested draws", f"{nodes} is not a density to draw from", "a density, such as that of a kinematic joint", remedy)

@@ -183,6 +183,7 @@ def log_parts(
             continue
         first, second = ends(term)
         values = messages[number] if term.plate.log_draw is None else _drawn_density(term, proposal, number, points)
+        values = values if term.plate.log_beside is None else _with_beside(term, values, points)
         for node, value, log_share in ((second, values.forward, edge.forward), (first, values.backward, edge.backward)):
             mixed = _log_added(mixed, node, value + log_share[:, None])
     mixtures = [prior, *(mixture.log_prob(points) for mixture in graph.proposals)]
@@ -206,6 +207,18 @@ def _drawn_density(term: Term, proposal: Proposals, number: int, points: Array) 
         forward(term.plate.parameters, proposal.points[first], proposal.cavities[number].forward, points[second]),
         backward(term.plate.parameters, proposal.points[second], proposal.cavities[number].backward, points[first]),
     )
+
+
+def _with_beside(term: Term, values: Directed, points: Array) -> Directed:
+    """Return the densities of the draws along each edge, given the values of the factors, for draws that have coordinates beside those."""
+    first, second = ends(term)
+    log_beside = term.plate.log_beside
+    assert log_beside is not None
+
+    def beside(nodes: Array, reverse: bool) -> Array:
+        return jax.vmap(lambda parameters, xs: jax.vmap(lambda x: log_beside(parameters, x, reverse))(xs))(term.plate.parameters, points[nodes])
+
+    return Directed(values.forward + beside(second, False), values.backward + beside(first, True))
 
 
 def _log_added(total: NodeValues, nodes: Array, values: Array) -> NodeValues:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from pydantic import Field
 
+from bayes_body.base.errors import input_error
 from bayes_body.base.registry import register
 from bayes_body.base.shapes import Index, Key
 from bayes_body.base.toml.read import validate
@@ -123,6 +124,10 @@ def pass_messages(key: Key, graph: Graph, options: Options, rounds: Round) -> Pa
 
 
 def _passing(graph: Graph, options: Options) -> Passing:
+    if options.method == "pampas" and any(term.plate.log_beside is not None for term in graph.pairs):
+        # A product of messages says nothing of sizes, so it has no draws.
+        problem, expected = "'pampas', and the sizes of the parts are not known", '"mixture", "pbp" or "epbp"'
+        raise input_error("the kernel 'particle_bp': method", problem, expected, "take another method, or the tables [[unknown]] out")
     of_proposals = Shares(*options.shares), options.fit_inflation
     settings = Settings(options.samples, options.loop_samples, *of_proposals, options.method, options.damping)
     return Pampas(graph, settings) if options.method == "pampas" else Passing(graph, settings)
@@ -164,10 +169,12 @@ class ParticleBP:
             log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
         posterior = normalise(passed.joint.log_weights)
         unconstrained = density.unconstrained()
+        # The sizes of nodes do not tell ancestors apart (density/sized_nodes.py).
+        unconstrained = unconstrained._replace(predictions={graph.variable: unconstrained.predictions[graph.variable]})
 
         def complete(key_and_value: tuple[Key, Array], unconstrained: Unconstrained) -> tuple[State, Index]:
             key, value = key_and_value
-            return unconstrained.completed(key, {graph.variable: value})
+            return unconstrained.completed(key, graph.sampled(value))
 
         states, ancestors = over_particles(complete, (jax.random.split(ancestor_key, count), passed.joint.values), unconstrained)
         predicted = predict(predict_key, self.resample(predict_key, density.previous.log_weights, count), density).states

@@ -19,6 +19,8 @@ from bayes_body.model.body.kinematics import forward_kinematics
 from bayes_body.model.body.skeleton import Skeleton
 
 POSE, PARTS = "pose", "parts"
+# The log-sizes of the parts, if they are unknown: variables of the state with a number for each part.
+LENGTHS, WIDTHS = "lengths", "widths"
 
 
 class Placement(Protocol):

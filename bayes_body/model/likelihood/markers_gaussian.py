@@ -38,7 +38,7 @@ from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
 from bayes_body.density.factor import Composed, Factor, Numbered, Variable, Variables
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import placed_markers
-from bayes_body.model.body.placement import PARTS, ByParts
+from bayes_body.model.body.placement import LENGTHS, PARTS, ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.model.likelihood.detections import Detections
 from bayes_body.recording.evidence.markers import KEYPOINTS, MarkerEvidence, evidence_names
@@ -132,7 +132,8 @@ class MarkersGaussian:
             everywhere = jnp.ones(len(KEYPOINTS), detections.sd_px.dtype)
             detections = replace(detections, factors=everywhere.at[jnp.array(self.places)].set(detections.factors))
         parameters = PartMarkers(offsets, jnp.asarray(np.array(self.places)[chosen]), jnp.asarray(counted))
-        return Plate(PARTS, tuple((part,) for part in parts), jax.tree_util.Partial(_of_part, detections), parameters)
+        potential, resize = jax.tree_util.Partial(_of_part, detections), {LENGTHS: jax.tree_util.Partial(_stretched)}
+        return Plate(PARTS, tuple((part,) for part in parts), potential, parameters, resize=resize)
 
 
 def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "camera present entry"]:
@@ -160,6 +161,10 @@ def _offsets(
 ) -> Float[Array, "part chosen 3"]:
     """The chosen markers, each on its joint, in the frames of the parts that hold them."""
     return transforms.apply(jax.tree.map(lambda leaf: leaf[joints], placement.T_part_joint), offsets[markers])
+
+
+def _stretched(markers: PartMarkers, log_length: Scalar) -> PartMarkers:
+    return markers._replace(offsets=jnp.exp(log_length) * markers.offsets)
 
 
 def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:

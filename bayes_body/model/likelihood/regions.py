@@ -44,7 +44,7 @@ from bayes_body.base.toml.schema import Count, NonNegative, Positive, Schema, Sh
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import require, solids_in_parts
-from bayes_body.model.body.placement import PARTS, ByParts
+from bayes_body.model.body.placement import LENGTHS, PARTS, WIDTHS, ByParts
 from bayes_body.model.body.solids import Body, Shapes
 from bayes_body.model.likelihood.patch_pixels import corner_pixels, solid_patches
 from bayes_body.recording.evidence.regions import BAND, EDGES, INSIDE, RegionMaps, log_ratios_at
@@ -245,6 +245,16 @@ class Regions:
         return jnp.where(jnp.isfinite(jnp.sum(frame)), total, jnp.nan)
 
 
+def _stretched(part: PartSamples, log_length: Scalar) -> PartSamples:
+    factor = jnp.exp(log_length)
+    placed = part.T_part_solid._replace(origin=factor * part.T_part_solid.origin)
+    return part._replace(T_part_solid=placed, shapes=part.shapes._replace(lengths=factor * part.shapes.lengths))
+
+
+def _widened(part: PartSamples, log_width: Scalar) -> PartSamples:
+    return part._replace(shapes=part.shapes._replace(radii=jnp.exp(log_width) * part.shapes.radii))
+
+
 @register("likelihood", "regions", Options, reads=("silhouettes",))
 def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Factor:
     """Build the plate of a loose-limbed body.
@@ -258,4 +268,5 @@ def build(name: str, options: Options, body: Body, rig: Camera, **_: Any) -> Fac
     weights = options.precision * np.where(map_index == EDGES, options.edge_share * np.sqrt(shares), (1 - options.edge_share) * shares)
     potential = Regions(options.lookup, rig, device_array(map_index, jnp.int32), device_array(weights, body.lengths.dtype))
     rows = tuple((part,) for part in range(len(samples.t)))
-    return plate_factor(name, "likelihood", Plate(PARTS, rows, potential, samples), has_gradient=options.lookup != "nearest")
+    resize = {LENGTHS: jax.tree_util.Partial(_stretched), WIDTHS: jax.tree_util.Partial(_widened)}
+    return plate_factor(name, "likelihood", Plate(PARTS, rows, potential, samples, resize=resize), has_gradient=options.lookup != "nearest")

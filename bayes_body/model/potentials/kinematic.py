@@ -5,6 +5,10 @@ $$\psi(X_i, X_j) = g(X_i^{-1} X_j),$$
 with a Gaussian mixture g in the tangent spaces at mean relative poses (`potentials.joint_mixture`), normalised with respect to the Haar measure
 $dt\,dR$. SE(3) is unimodular: the same function is the conditional density of a child given its parent and of a parent given its child, and a tree of
 edges is a normalised prior given its root. The paper learns two functions for the two directions.
+
+If the parts' lengths are unknown, the joint is where the parent's length $\bar\ell e^x$ puts it: with its place $p$ in the parent's frame, where all
+angles are 0, the mean positions of all components are displaced by $(e^x - 1) p$. The displacements from $p$ stay. Given x, the density is normalised
+as before.
 """
 
 import math
@@ -27,7 +31,7 @@ from bayes_body.density.chart import relative_to_parents
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import require
-from bayes_body.model.body.placement import PARTS, ByParts
+from bayes_body.model.body.placement import LENGTHS, PARTS, ByParts
 from bayes_body.model.body.solids import Body
 from bayes_body.model.potentials.joint_mixture import load_joint_mixtures, log_of_components, log_pairs, mixture, times
 from bayes_body.model.potentials.widths import widths_by_part
@@ -125,6 +129,13 @@ def _stepped(mean: Float[Array, "7"], step: Float[Array, "2 3"], neighbour: Floa
     return jnp.asarray(rigid.compose(neighbour, rigid.inverse(relative) if reverse else relative))
 
 
+def _stretched(edge: Mapping[str, Array], log_parent: Scalar, log_child: Scalar) -> dict[str, Array]:
+    """Return the mixture with the joint where the parent's length puts it."""
+    del log_child
+    mean = edge["mean"]
+    return {**edge, "mean": mean.at[:, :3].add((jnp.exp(log_parent) - 1) * edge["joint"])}
+
+
 def draw_tree(key: Key, factor: Factor, root: Float[Array, "7"]) -> Float[Array, "part 7"]:
     """Draw all parts given the first one, from the prior that the kinematic edges define. Parents come before their children."""
     plate: Any = factor.log_potential
@@ -153,7 +164,9 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     functions = {
         name: jax.tree_util.Partial(function) for name, function in (("draw", draw), ("weighted_draw", weighted_draw), ("pairwise", log_pairs))
     }
-    plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, **functions)
+    parameters["joint"] = device_array(_means(name, Component(), body)[children, :3], body.lengths.dtype)
+    resize = {LENGTHS: jax.tree_util.Partial(_stretched)}
+    plate = Plate(PARTS, rows, jax.tree_util.Partial(log_density), parameters, **functions, resize=resize)
     return plate_factor(name, "prior", plate)
 
 

@@ -26,7 +26,7 @@ from bayes_body.base.toml.schema import NonNegative, Positive, Schema
 from bayes_body.density.factor import Factor
 from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import require, solids_in_parts
-from bayes_body.model.body.placement import PARTS, ByParts
+from bayes_body.model.body.placement import LENGTHS, PARTS, WIDTHS, ByParts
 from bayes_body.model.body.solids import Body, Spheres, sphere_approximation
 
 
@@ -60,6 +60,14 @@ def _soft(pair: Mapping[str, Array], first: Float[Array, "7"], second: Float[Arr
     return -0.5 * (jnp.maximum(depth(pair, first, second), 0.0) / pair["soft_sd"]) ** 2
 
 
+def _stretched(pair: Mapping[str, Array], *log_lengths: Scalar) -> dict[str, Array]:
+    return {**pair, "centres": jnp.exp(jnp.stack(log_lengths))[:, None, None] * pair["centres"]}
+
+
+def _widened(pair: Mapping[str, Array], *log_widths: Scalar) -> dict[str, Array]:
+    return {**pair, "radii": jnp.exp(jnp.stack(log_widths))[:, None] * pair["radii"]}
+
+
 @register("potential", "penetration", Options)
 def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     """Build the plate for a loose-limbed body.
@@ -79,7 +87,8 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
         "soft_sd": device_array(np.full(len(rows), options.soft_sd_m), dtype),
     }
     log_potential = jax.tree_util.Partial(_hard if options.mode == "hard" else _soft)
-    return plate_factor(name, "constraint", Plate(PARTS, rows, log_potential, parameters))
+    resize = {LENGTHS: jax.tree_util.Partial(_stretched), WIDTHS: jax.tree_util.Partial(_widened)}
+    return plate_factor(name, "constraint", Plate(PARTS, rows, log_potential, parameters, resize=resize))
 
 
 def _rows(name: str, options: Options, body: Body) -> tuple[tuple[int, ...], ...]:

@@ -9,7 +9,9 @@ from jaxtyping import Array
 from numpyro.distributions import Distribution
 
 from bayes_body.base.shapes import Key, Scalar
+from bayes_body.density.chart import ChartBeside
 from bayes_body.density.factor import Composed, Factor, State, Transition, Variable, Variables, draw, nothing_carried, variables
+from bayes_body.density.plate import Plate
 from bayes_body.model.unknowns.unknown import Unknown, initial_values
 
 type Unknowns = tuple[Unknown, ...]
@@ -51,7 +53,9 @@ def factor_with(factor: Factor, unknowns: Unknowns) -> Factor:
     names = [name for term in terms for name in (term.name, *term.reads)]
     scope = tuple(dict.fromkeys([*factor.scope, *(Variable(name) for name in names)]))
     potential = factor.log_potential
-    if isinstance(potential, Composed):
+    if isinstance(potential, Plate):
+        potential = replace(potential, sizes=tuple(term.name for term in terms))
+    elif isinstance(potential, Composed):
         local = tuple((Variable(term.name), term.moves) for term in terms if term.moves)
         potential = replace(potential, inner=jax.tree_util.Partial(_changed, terms, potential.inner), local=local)
     else:
@@ -81,6 +85,8 @@ def settled_factor(factor: Factor, state: State) -> Factor:
         state: values of unknowns, by name.
     """
     potential = factor.log_potential
+    if isinstance(potential, Plate):
+        return _settled_plate(factor, potential, variables(state))
     function: Any = potential.inner if isinstance(potential, Composed) else potential
     if getattr(function, "func", None) not in (_changed, _changed_with_data):
         return factor
@@ -95,6 +101,14 @@ def settled_factor(factor: Factor, state: State) -> Factor:
     unread = {term.name for term in function.args[0]} | {name for term in function.args[0] for name in term.reads}
     scope = tuple(variable for variable in factor.scope if variable.name not in unread)
     return replace(factor, scope=scope, log_potential=settled_potential, simulate=settled(factor.simulate), curvature=settled(factor.curvature))
+
+
+def _settled_plate(factor: Factor, plate: Plate, values: Variables) -> Factor:
+    if not plate.sizes:
+        return factor
+    simulate: Any = factor.simulate
+    settled_simulate = None if simulate is None else with_changes(simulate.args[0], simulate.args[1], values)
+    return replace(factor, scope=(Variable(plate.variable),), log_potential=plate.settled(values), simulate=settled_simulate)
 
 
 # -- the motion prior -------------------------------------------------------------------------------------------------------------------
@@ -113,6 +127,7 @@ def transition_with(transition: Transition, unknowns: Unknowns) -> Transition:
         carry=partial(_carry, unknowns, transition.carry) if carries else transition.carry,
         begin=partial(_begin, unknowns, transition.begin),
         first=partial(_first, unknowns, transition.first),
+        chart=None if transition.chart is None else partial(_chart, unknowns, transition.chart),
         explore=None if transition.explore is None else partial(_explore, unknowns, transition.explore),
         spaces=(*transition.spaces, *((term.name, term.space) for term in unknowns)),
     )
@@ -136,6 +151,10 @@ def _begin(unknowns: Unknowns, begin: Any, first: State) -> dict[str, Array]:
 
 def _first(unknowns: Unknowns, first: Any, state: State) -> Mapping[str, Distribution]:
     return {**({} if first is None else first(state)), **{term.name: term.prior() for term in unknowns}}
+
+
+def _chart(unknowns: Unknowns, chart: Any, previous: State) -> ChartBeside:
+    return ChartBeside(tuple(term.name for term in unknowns), chart(previous))
 
 
 def _explore(unknowns: Unknowns, explore: Any, key: Key, state: State, previous: State, scale: Scalar) -> dict[str, Array]:

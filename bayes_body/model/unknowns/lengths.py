@@ -15,6 +15,9 @@ The entries of the value are independent, so that all kernels see what they know
 $$x_{\mathrm{bones}} = D R^{1/2} D^{-1} z, \qquad z \sim \mathcal N(0, D^2), \qquad \operatorname{cov} x_{\mathrm{bones}} = D R D.$$
 
 Reports show x, by the names of the bones.
+
+Of a body that is placed by parts, each part has a length of its own, $\ell_i = \bar\ell_i e^{x_i}$ with the variance of both deviations together
+(model/unknowns/part_sizes.py). One number for all parts would be a factor of all nodes of the graph.
 """
 
 import math
@@ -31,9 +34,11 @@ from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Finite, NonNegative, Positive
 from bayes_body.density.factor import Variables
 from bayes_body.model.body.lengths import Scaling, scaling, with_factors
+from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
+from bayes_body.model.unknowns.part_sizes import part_stems, size_of_parts, stretched
 from bayes_body.model.unknowns.people import bone_variation, symmetric_root
-from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, deviations, unknown_about_zero
+from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, centred, deviations, unknown_about_zero
 
 NAME, OVERALL = "lengths", "overall"
 # Of bones that were not measured.
@@ -52,12 +57,13 @@ class Options(UnknownSchema):
     bone_sd: Mapping[str, NonNegative] = {}
     """table: a length's name or a pattern = its standard deviation beside that of all lengths together, in place of the learned one. Correlations
     stay. Learned ones are 0.045 to 0.065 for limbs, hands and feet, torso 0.07, head 0.09, heels 0.10, clavicles 0.11 and pelvis 0.14; a length that
-    is none of these has 0.06. With 0, a length is known but for the overall scale."""
+    is none of these has 0.06. With 0, a length is known but for the overall scale. Of a body placed by parts, the names are those of parts
+    without `l_` and `r_`."""
     bone_mean: Mapping[str, Finite] = {}
     """relative; table: a bone's name or a pattern = how much longer it is expected to be than the body file says, as a logarithm. For bones that the
     session gives, it is 0."""
     sides: Literal["alike", "free"] = "alike"
-    """`"alike"`: a left and a right bone have one deviation. `"free"`: each has its own, without correlations."""
+    """`"alike"`: a left and a right bone have one deviation. `"free"`: each has its own, without correlations. Parts are always free."""
     lasts_s: Positive = 3600.0
     """[s] after this time an error has faded to 37 %. Bones do not change."""
 
@@ -75,13 +81,14 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     Raises:
         InputError: a key matches no bone, or a bone that is known has another mean.
     """
+    if isinstance(setting.body.placement, ByParts):
+        return _of_parts(options, setting, setting.body.placement)
     growth, names = scaling(setting.body, setting.schema), tuple(setting.schema.lengths_of_height)
     if options.sides == "free":
         bones, growth = names, growth._replace(groups=jnp.eye(len(names), dtype=growth.groups.dtype))
     else:
         bones = tuple(dict.fromkeys(name[2:] if name.startswith(("l_", "r_")) else name for name in names))
-    usual = {f"*{name}": value for name, value in bone_variation().sd.items()} | {"*": OTHER_SD}
-    every_sd = deviations(options.bone_sd, usual, bones, "unknown 'lengths': bone_sd", "bone")
+    every_sd = deviations(options.bone_sd, _usual_sd(), bones, "unknown 'lengths': bone_sd", "bone")
     means = deviations(options.bone_mean, {"*": 0.0}, bones, "unknown 'lengths': bone_mean", "bone")
     _check_means(dict(zip(bones, zip(means, every_sd, strict=True), strict=True)))
     # A length on which nothing depends has nothing to say.
@@ -99,6 +106,32 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     # The entries at which the bones have their expected deviations.
     centre = np.linalg.solve(mixing, [0.0, *mean])
     return replace(prior, mean=jnp.asarray(centre, prior.mean.dtype), mixing=jnp.asarray(mixing, prior.mean.dtype))
+
+
+def _of_parts(options: Options, setting: Setting, placement: ByParts) -> Unknown:
+    """Build the unknown of a body that is placed by parts.
+
+    Raises:
+        InputError: a key matches no part, or left and right parts are to be alike.
+    """
+    if options.sides == "alike" and "sides" in options.model_fields_set:
+        problem, expected = '"alike", with a body that is placed by "parts"', '"free": each part has a length of its own'
+        raise input_error("unknown 'lengths': sides", problem, expected, "take the line out")
+    stems = part_stems(placement)
+    bone_sd = deviations(options.bone_sd, _usual_sd(), stems, "unknown 'lengths': bone_sd", "part")
+    means = deviations(options.bone_mean, {"*": 0.0}, stems, "unknown 'lengths': bone_mean", "part")
+    overall = options.overall_sd_with_height if setting.has_height else options.overall_sd
+    session_sd = [_sd_in_session(stem, setting) for stem in stems]
+    sd = [max(values) if values else math.hypot(overall, usual) for values, usual in zip(session_sd, bone_sd, strict=True)]
+    mean = [
+        0.0 if {stem, name, f"l_{stem}", f"r_{stem}"} & setting.measured else value
+        for stem, name, value in zip(stems, placement.names, means, strict=True)
+    ]
+    return centred(size_of_parts(NAME, sd, options.lasts_s, setting, stretched), mean)
+
+
+def _usual_sd() -> dict[str, float]:
+    return {f"*{name}": value for name, value in bone_variation().sd.items()} | {"*": OTHER_SD}
 
 
 def _check_means(priors: Mapping[str, tuple[float, float]]) -> None:

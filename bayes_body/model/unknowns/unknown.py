@@ -28,6 +28,7 @@ from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.base.toml.schema import Count, Schema
 from bayes_body.density.factor import Factor, Numbered, Side, State, Variables
+from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Flat, euclidean
 from bayes_body.kernels.laplace.proposal import balanced_noise
 from bayes_body.model.body.schema import BodySchema
@@ -141,9 +142,11 @@ class Unknown:
         return sd if self.mixing is None else np.linalg.norm(np.asarray(self.mixing, float) * sd, axis=1)
 
     def concerns(self, factor: Factor) -> bool:
-        """Whether a factor holds a node that this changes."""
+        """Whether a factor holds a node that this changes, or is a plate of which it is a size."""
         if factor.side not in self.sides:
             return False
+        if isinstance(factor.log_potential, Plate):
+            return self.name in factor.log_potential.resize
         nodes = jax.tree.leaves(factor, is_leaf=lambda node: isinstance(node, self.node))
         return any(isinstance(node, self.node) for node in nodes)
 

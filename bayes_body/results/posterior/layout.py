@@ -218,12 +218,16 @@ def _axes(draws: Draws) -> dict[str, Axis]:
         ValueError: two variables name the same dimension and label it differently.
     """
     axes: dict[str, Axis] = {}
-    for name, space in _spaces(draws).items():
+    spaces = _spaces(draws)
+    for name, space in spaces.items():
         for dim, axis in zip(space_dims(name, space), space.axes, strict=True):
             if axes.setdefault(dim, axis) != axis:
                 raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
         if isinstance(space, Plate) and draws.frames[0].info.messages:
-            axes["tangent"] = Axis("tangent", space.space.tangent_labels, space.space.tangent_units)
+            # A number for each part, such as its log-length, belongs to the part's node (density/sized_nodes.py).
+            sizes = tuple(size for size, other in spaces.items() if isinstance(other, Flat) and other.labels == space.names)
+            units = (*space.space.tangent_units, *[""] * len(sizes))
+            axes["tangent"] = Axis("tangent", (*space.space.tangent_labels, *sizes), units)
             axes["proposal"] = Axis("proposal", PARTS)
     return axes
 

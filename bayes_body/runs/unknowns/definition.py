@@ -7,6 +7,7 @@ from tomlkit import TOMLDocument
 
 from bayes_body.base.errors import input_error
 from bayes_body.density.kernel import NamedKernel
+from bayes_body.model.body.placement import PARTS
 from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition, evidence_of, parse_definition
 
@@ -27,12 +28,15 @@ def with_unknowns(definition: Definition, delay_sd_s: float | None = None) -> De
         delay_sd_s: the standard deviation of the cameras' delays, seconds; None: delays are not asked for.
 
     Raises:
-        InputError: it does not read keypoints.
+        InputError: it does not read keypoints, or its body is placed by parts.
         FaultyFileError: its motion prior or its body allows no such unknowns.
     """
     if "keypoints" not in evidence_of(definition):
         reads = " and ".join(evidence_of(definition))
         raise input_error(f"model '{definition.name}'", f"it reads {reads}", "a model that reads keypoints", "leave --model out")
+    if definition.placement == PARTS:
+        problem, expected = 'its body is placed by "parts"', 'a body with placement = "angles"'
+        raise input_error(f"model '{definition.name}'", problem, expected, "leave --model out")
     present = {term.kind for term in definition.unknowns}
     added = [] if present else [_table(kind) for kind in KINDS]
     if delay_sd_s is not None and DELAYS not in present:

@@ -314,7 +314,6 @@ def test_the_jacobian_of_entries_that_share_a_push_is_that_of_all_directions(mod
 REFUSED = {
     "no velocity": ("silhouettes", 'kind = "delays"', "unknown 'delays': no term of the model reads it"),
     "nothing reads noise": ("silhouettes", 'kind = "noise"', "take the table out"),
-    "parts": ("loose_limbed_10", 'kind = "lengths"', 'placed by "parts"'),
     "a random walk": ("arm_markers", 'kind = "delays"', "the motion prior has no variable 'velocity'"),
 }
 
