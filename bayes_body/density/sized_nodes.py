@@ -157,7 +157,7 @@ class SizedPlate:
         log_density = self.plate.log_draw
         assert log_density is not None
         entries = (other, known) if reverse else (known, other)
-        return log_density(self._resized(row, *entries), *map(self._place, (known, other)), reverse) + self.log_beside(row, other, reverse)
+        return log_density(self._resized(row, *entries), self._place(known), self._place(other), reverse) + self.log_beside(row, other, reverse)
 
     def log_beside(self, row: SizedRow, other: Array, reverse: bool) -> Scalar:
         """Return the log-density of the log-sizes that `draw` gives the other entry."""

@@ -14,10 +14,11 @@ from bayes_body.results.storage.saved_run import load_run
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    """The arm and its markers, with an upper arm and a forearm that the elbow keeps together."""
+    """The arm and its markers, with an upper arm and a forearm of unknown lengths, which the elbow keeps together."""
     path = tmp_path_factory.mktemp("model") / "loose_arm.toml"
     text = loose_limbed(load_definition("arm_markers").text)
     text = text.replace("[[likelihood]]", '[[potential]]\nkind = "kinematic"\n\n[[likelihood]]', 1).replace('kind = "sir"', 'kind = "tempered"')
+    text = text.replace("[kernel]", '[[unknown]]\nkind = "lengths"\n\n[kernel]', 1)
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -36,9 +37,12 @@ def test_from_track_to_export(cli, model, keypoint_session, tmp_path):
     with xr.open_datatree(run / "posterior.nc", engine="h5netcdf") as own, xr.open_datatree(whole / "posterior.nc", engine="h5netcdf") as other:
         assert own["posterior"]["parts"].dims == ("chain", "draw", "frame", "part", "coordinate")
         assert np.array_equal(own["posterior"]["parts"], other["posterior"]["parts"])
+        lengths = np.asarray(own["posterior"]["lengths"])
         quaternions = np.asarray(own["posterior"]["parts"])[..., 3:]
     assert np.abs(np.linalg.norm(quaternions, axis=-1) - 1).max() < 1e-4
+    assert lengths.shape[-1] == 2 and (lengths.std(axis=(0, 1)) > 0).all()
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    assert [row["entry"] for row in summary["unknowns"]] == ["upper_arm", "forearm"]
     assert (summary["frames"], summary["dof"]) == (3, 12) and summary["rhat_max"] > 0 and summary["marker_disagreement_mm"] > 0
 
     assert cli("report", run).status == 0

@@ -161,7 +161,7 @@ def build(name: str, options: Options, body: Body, **_: Any) -> Factor:
     children = [child for _, child in rows]
     components = _components(name, options, body, children)
     parameters = {key: device_array(value, body.lengths.dtype) for key, value in mixture(*components).items()}
-    functions = {
+    functions: dict[str, Any] = {
         name: jax.tree_util.Partial(function) for name, function in (("draw", draw), ("weighted_draw", weighted_draw), ("pairwise", log_pairs))
     }
     parameters["joint"] = device_array(_means(name, Component(), body)[children, :3], body.lengths.dtype)

@@ -21,6 +21,7 @@ from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Positive
 from bayes_body.density.factor import Numbered, Variables
+from bayes_body.model.body.build import build_body
 from bayes_body.model.body.solids import Body
 from bayes_body.model.unknowns.unknown import Setting, Unknown, UnknownSchema, centred, deviations, unknown_about_zero
 from bayes_body.recording.evidence.markers import KEYPOINTS
@@ -49,7 +50,8 @@ def change(places: Int[Array, "entry 2"], body: Body, value: Float[Array, " entr
 @register("unknown", NAME, Options)
 def build(options: Options, setting: Setting, **_: Any) -> Unknown:
     """Build the unknown for one body."""
-    names, bone_axes = setting.body.markers.names, _bones(setting.body)
+    # The proportions of the body file: a subject's lengths, such as those of a fit, must not change which entries there are.
+    names, bone_axes = setting.body.markers.names, _bones(build_body(setting.body.name, setting.schema))
     places = [(m, axis) for m, name in enumerate(names) if name in KEYPOINTS for axis in range(3) if bone_axes[m] != axis]
     sd = deviations(options.sd_m, SD_M, tuple(names[m] for m, _ in places), "unknown 'keypoint_offsets': sd_m", "marker")
     labels = tuple(f"{names[m]}_{AXES[axis]}" for m, axis in places)
@@ -68,9 +70,10 @@ def build(options: Options, setting: Setting, **_: Any) -> Unknown:
 def _bones(body: Body) -> list[int | None]:
     """Return, for each marker at the end of a bone, the axis of its joint's frame that is nearest to the bone; None for a joint that moves."""
     topology, axes = body.skeleton.topology, list[int | None]()
+    presets, offsets = np.asarray(body.skeleton.presets, float), np.asarray(body.skeleton.offsets, float)
     for joint, offset in zip(body.markers.joints, np.asarray(body.markers.offsets, float), strict=True):
         if not offset.any() and not topology.motions[joint]:
             # The marker of a joint that does not move, such as the wrist of a hand that does not bend.
-            offset = np.asarray(body.skeleton.presets[joint], float).T @ np.asarray(body.skeleton.offsets[joint], float)
+            offset = presets[joint].T @ offsets[joint]
         axes.append(int(np.abs(offset).argmax()) if offset.any() else None)
     return axes

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_body.density.spaces import Axis, Plate, Space, space_to_text
+from bayes_body.density.spaces import Axis, Flat, Plate, Space, space_to_text
 from bayes_body.results.posterior.blocks import SPACE
 from bayes_body.results.posterior.diagnosis import MODES, SAMPLES_POSTERIOR
 from bayes_body.results.posterior.joint import JOINT

@@ -44,7 +44,7 @@ def markers_of_each(
     """Return the markers of all draws of all runs, metres. Poses and changes are those of `placing_blocks`, or some of their draws."""
     names = tuple(changes)
 
-    def positions(*chunk: Float[np.ndarray, "chunk *shape"]) -> NDArray[np.floating]:
+    def positions(*chunk: Float[np.ndarray, "chunk ..."]) -> NDArray[np.floating]:
         return markers(run.model, chunk[0], **dict(zip(names, chunk[1:], strict=True)))
 
     return of_each(pooled(poses), positions, *(pooled(changes[name]) for name in names))

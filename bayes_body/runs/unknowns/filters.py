@@ -9,25 +9,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_body.base.geometry.camera import Camera, project
-from bayes_body.base.shapes import Key
+from bayes_body.base.geometry.namespaces import device_array
+from bayes_body.base.shapes import Key, Pose
 from bayes_body.density.factor import variables
 from bayes_body.density.kernel import NamedKernel
 from bayes_body.density.spaces import euclidean
 from bayes_body.initial import FirstPose, Show, apply_first_pose, first_pose, with_first_keypoints
+from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
-from bayes_body.model.unknowns.apply import with_changes
+from bayes_body.model.unknowns.apply import Unknowns, with_changes
 from bayes_body.model.unknowns.delays import VELOCITY
 from bayes_body.model.unknowns.unknown import Unknown
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.session.session import Session
-from bayes_body.results.posterior import markers, mean_pose
+from bayes_body.results.posterior import mean_pose
 from bayes_body.results.posterior.thinning import weighted_mean
 from bayes_body.runs.unknowns.definition import DELAYS, kernel_of
 from bayes_body.runs.unknowns.frames import Stretch
@@ -118,7 +119,7 @@ def hold_unknowns(model: Model) -> Model:
     """Return the model with its unknowns held at their means."""
 
     def narrowed(node: object) -> object:
-        return replace(node, sd=HELD * node.sd) if isinstance(node, Unknown) else node
+        return replace(node, sd=device_array(HELD * np.asarray(node.sd), node.sd.dtype)) if isinstance(node, Unknown) else node
 
     names = ("transition", "after_found", "factors", "first", "unknowns")
     parts = [getattr(model, name) for name in names]
@@ -133,17 +134,11 @@ def expected_px(part: Session, draws: Draws) -> Float[np.ndarray, "frame camera 
         part: from `stretch_of`.
         draws: of a model with `hold_unknowns`.
     """
-    model, means = draws.model, {term.name: term.mean for term in draws.model.unknowns}
-    poses = np.stack([mean_pose(frame, model)[0] for frame in draws.frames])
-    body = with_changes(tuple(term for term in model.unknowns if term.node is Body), model.body, variables(means))
-    placing, rig = replace(model, body=body, unknowns=()), model.rig_in(means)
-    views = []
-    for camera, delay_s in enumerate(_delays(model, len(part.views))):
-        moved_poses = poses + delay_s * _velocities(draws, poses.shape[-1]) if delay_s else poses
-        lens = jax.tree.map(lambda leaf, camera=camera: leaf[camera], rig)
-        pixels, in_front = (np.asarray(out) for out in _projected(lens, jnp.asarray(markers(placing, moved_poses))))
-        views.append(np.where(in_front[..., None], pixels, np.nan))
-    return np.stack(views, axis=1)
+    model, dtype = draws.model, draws.model.body.lengths.dtype
+    poses, velocities = (np.stack(values)[None] for values in (_poses(draws), _velocities(draws)))
+    moved_poses = poses + np.array(_delays(model, len(part.views)))[:, None, None] * velocities
+    pixels, in_front = (np.asarray(out) for out in _projected(model.body, model.rig, model.unknowns, device_array(moved_poses, dtype)))
+    return np.swapaxes(np.where(in_front[..., None], pixels, np.nan), 0, 1)
 
 
 def median_distances(expected: Float[np.ndarray, "frame camera marker 2"], keypoints: Float[np.ndarray, "frame camera marker 2"]) -> list[float]:
@@ -161,11 +156,29 @@ def _delays(model: Model, cameras: int) -> list[float]:
     return [0.0, *delays_s]
 
 
-def _velocities(draws: Draws, size: int) -> Float[np.ndarray, "frame dof"]:
+def _poses(draws: Draws) -> list[Float[np.ndarray, " dof"]]:
+    return [mean_pose(frame, draws.model)[0] for frame in draws.frames]
+
+
+def _velocities(draws: Draws) -> list[Float[np.ndarray, " dof"]]:
+    """Return the mean velocities of the frames; 0 for a model that has none, which has no delays."""
+    size = len(draws.model.body.dof_names)
+    if VELOCITY not in draws.frames[0].states:
+        return [np.zeros(size)] * len(draws.frames)
     space = euclidean(tuple(map(str, range(size))), ("",) * size, "dof")
-    return np.stack([weighted_mean(frame, VELOCITY, space)[0] for frame in draws.frames])
+    return [weighted_mean(frame, VELOCITY, space)[0] for frame in draws.frames]
 
 
 @jax.jit
-def _projected(camera: Camera, places: Float[Array, "frame marker 3"]) -> tuple[Float[Array, "frame marker 2"], Bool[Array, "frame marker"]]:
-    return jax.vmap(lambda marker_places: project(camera, marker_places))(places)
+def _projected(
+    body: Body, rig: Camera, unknowns: Unknowns, poses: Float[Array, "camera frame dof"]
+) -> tuple[Float[Array, "camera frame marker 2"], Bool[Array, "camera frame marker"]]:
+    """Return where cameras see the markers, with all unknowns at their means. One program: as many small ones would take seconds to compile."""
+    means = variables({term.name: term.mean for term in unknowns})
+    changed_body = with_changes(tuple(term for term in unknowns if term.node is Body), body, means)
+    changed_rig = with_changes(tuple(term for term in unknowns if term.node is Camera), rig, means)
+
+    def of_frame(camera: Camera, pose: Pose) -> tuple[Array, Array]:
+        return project(camera, placed_markers(changed_body, pose))
+
+    return jax.vmap(lambda camera, camera_poses: jax.vmap(lambda pose: of_frame(camera, pose))(camera_poses))(changed_rig, poses)
