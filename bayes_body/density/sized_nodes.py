@@ -141,27 +141,27 @@ class SizedPlate:
         assert evaluate is not None
         return jax.vmap(lambda x: evaluate(self._resized(row, x, second[0]), self._place(x)[None], places)[0])(first)
 
-    def draw(self, key: Key, row: SizedRow, known: Array, reverse: bool) -> Array:
-        """Draw the log-sizes of the other entry from their prediction, and given these its value along the edge."""
+    def draw(self, key: Key, row: SizedRow, source: Array, reverse: bool) -> Array:
+        """Draw the log-sizes of the target entry from their prediction, and given these its value along the edge."""
         draw_along = self.plate.draw
         assert draw_along is not None
         size_key, key = jax.random.split(key)
-        sizes = self._of_other(row, reverse).sample(size_key)
+        sizes = self._of_target(row, reverse).sample(size_key)
         # Only its sizes are read.
-        other = jnp.concatenate([self._place(known), sizes])
-        entries = (other, known) if reverse else (known, other)
-        return jnp.concatenate([draw_along(key, self._resized(row, *entries), self._place(known), reverse), sizes])
+        target = jnp.concatenate([self._place(source), sizes])
+        entries = (target, source) if reverse else (source, target)
+        return jnp.concatenate([draw_along(key, self._resized(row, *entries), self._place(source), reverse), sizes])
 
-    def log_draw(self, row: SizedRow, known: Array, other: Array, reverse: bool) -> Scalar:
+    def log_draw(self, row: SizedRow, source: Array, target: Array, reverse: bool) -> Scalar:
         """Return the log-density of `draw`, where the plate has a density of its own for that."""
         log_density = self.plate.log_draw
         assert log_density is not None
-        entries = (other, known) if reverse else (known, other)
-        return log_density(self._resized(row, *entries), self._place(known), self._place(other), reverse) + self.log_beside(row, other, reverse)
+        entries = (target, source) if reverse else (source, target)
+        return log_density(self._resized(row, *entries), self._place(source), self._place(target), reverse) + self.log_beside(row, target, reverse)
 
-    def log_beside(self, row: SizedRow, other: Array, reverse: bool) -> Scalar:
-        """Return the log-density of the log-sizes that `draw` gives the other entry."""
-        return self._of_other(row, reverse).log_prob(other[-len(self.names) :])
+    def log_beside(self, row: SizedRow, target: Array, reverse: bool) -> Scalar:
+        """Return the log-density of the log-sizes that `draw` gives the target entry."""
+        return self._of_target(row, reverse).log_prob(target[-len(self.names) :])
 
     def _resized(self, row: SizedRow, *entries: Array) -> Any:
         parameters = row.parameters
@@ -173,7 +173,7 @@ class SizedPlate:
     def _place(self, entry: Float[Array, "*value entry"]) -> Float[Array, "*value place"]:
         return entry[..., : -len(self.names)]
 
-    def _of_other(self, row: SizedRow, reverse: bool) -> SizeNormals:
+    def _of_target(self, row: SizedRow, reverse: bool) -> SizeNormals:
         return jax.tree.map(lambda leaf: leaf[0 if reverse else 1], row.sizes)
 
 

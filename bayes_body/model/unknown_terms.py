@@ -22,9 +22,9 @@ def unknowns_of(definition: Definition, setting: Setting, cameras: int) -> tuple
     Raises:
         InputError: the body is placed by parts, and it is no size of a part; or an option does not fit the body.
     """
-    other = next((term.kind for term in definition.unknowns if term.kind not in (lengths.NAME, widths.NAME)), None)
-    if other and definition.placement == PARTS:
-        table, expected = f"[[unknown]] kind = '{other}'", 'kind = "lengths" or "widths", or a body with placement = "angles"'
+    foreign = next((term.kind for term in definition.unknowns if term.kind not in (lengths.NAME, widths.NAME)), None)
+    if foreign and definition.placement == PARTS:
+        table, expected = f"[[unknown]] kind = '{foreign}'", 'kind = "lengths" or "widths", or a body with placement = "angles"'
         raise input_error(table, 'with a body that is placed by "parts"', expected, "take the table out, or place the body by angles")
     enough = [term for term in definition.unknowns if cameras >= getattr(term.options, "least_cameras", 1)]
     return tuple(find("unknown", term.kind).build(options=term.options, setting=setting) for term in enough)

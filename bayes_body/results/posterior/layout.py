@@ -225,7 +225,7 @@ def _axes(draws: Draws) -> dict[str, Axis]:
                 raise ValueError(f"the axis '{dim}' of the variable '{name}' has other labels than that of another variable")
         if isinstance(space, Plate) and draws.frames[0].info.messages:
             # A number for each part, such as its log-length, belongs to the part's node (density/sized_nodes.py).
-            sizes = tuple(size for size, other in spaces.items() if isinstance(other, Flat) and other.labels == space.names)
+            sizes = tuple(name for name, flat in spaces.items() if isinstance(flat, Flat) and flat.labels == space.names)
             units = (*space.space.tangent_units, *[""] * len(sizes))
             axes["tangent"] = Axis("tangent", (*space.space.tangent_labels, *sizes), units)
             axes["proposal"] = Axis("proposal", PARTS)

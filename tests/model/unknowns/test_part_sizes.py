@@ -15,6 +15,7 @@ from bayes_body.model.body.placed_body import loosened, placed_markers
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.recording.observation.frames import read_frame
+from bayes_body.runs.unknowns.definition import with_unknowns
 
 LIKELIHOODS = '[[likelihood]]\nkind = "regions"\n\n[[likelihood]]\nkind = "markers_gaussian"\nsd_px = 8.0\n'
 SIZES = '[[unknown]]\nkind = "lengths"\n\n[[unknown]]\nkind = "widths"\n'
@@ -112,6 +113,11 @@ def test_what_parts_cannot_have_is_refused(case, keypoint_session):
     unknowns, sentence = REFUSED[case]
     with pytest.raises(InputError, match=sentence):
         build_model(definition_of(unknowns), keypoint_session)
+
+
+def test_a_fit_of_parts_is_refused():
+    with pytest.raises(InputError, match='its body is placed by "parts"; expected a body with placement = "angles"'):
+        with_unknowns(definition_of())
 
 
 def test_products_of_messages_are_refused(model, data):
