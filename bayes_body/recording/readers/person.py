@@ -65,7 +65,7 @@ def _extended(cameras: Sequence[CameraSpec], people: Sequence[People], seed: dic
     places: list[int | None] = []
     for c, camera in enumerate(cameras):
         among = [seed[c]] if c in seed else range(len(people[c]))
-        errors = [(_relative_error(camera, points, people[c][i]), i) for i in among]
+        errors = [(relative_error(camera, points, people[c][i]), i) for i in among]
         error, place = min(errors, default=(np.inf, 0))
         if c in seed and error > SAME:
             return None
@@ -77,11 +77,17 @@ def _error(cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequ
     seeing = [c for c, place in enumerate(places) if place is not None]
     persons = [people[c][place] for c, place in enumerate(places) if place is not None]
     points = triangulate([cameras[c] for c in seeing], np.stack(persons), np.inf).points_m
-    return float(np.mean([_relative_error(cameras[c], points, person) for c, person in zip(seeing, persons, strict=True)]))
+    return float(np.mean([relative_error(cameras[c], points, person) for c, person in zip(seeing, persons, strict=True)]))
 
 
-def _relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"], person: Float[np.ndarray, "keypoint 3"]) -> float:
-    """Median distance between a body's projection and a person, as a fraction of the person's size; infinite if they share too few keypoints."""
+def relative_error(camera: CameraSpec, points_m: Float[np.ndarray, "keypoint 3"], person: Float[np.ndarray, "keypoint 3"]) -> float:
+    """Median distance between a body's projection and a person, as a fraction of the person's size; infinite if they share too few keypoints.
+
+    Args:
+        camera: calibrated.
+        points_m: the body's points in the world, metres; NaN where not known.
+        person: column, row (pixels; NaN where not seen) and confidence.
+    """
     errors = reprojection_errors([camera], points_m, person[None])[0]
     errors_px = errors[~np.isnan(errors)]
     return float(np.median(errors_px)) / _size(person) if len(errors_px) >= FEWEST else np.inf
