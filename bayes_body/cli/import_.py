@@ -53,6 +53,15 @@ FirstFrame = Annotated[
     int | None, typer.Option("--first-frame", help="Number of the first frame to import, as in the file names; in a video they count from 0.")
 ]
 Frames = Annotated[int | None, typer.Option("--frames", help="Number of frames to import from the first on; all by default.")]
+Rig = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rig",
+        metavar="[CAMERA=]CHANGE",
+        help="Change the calibration of a camera, or of all: inverted, centres, opengl, inverted_opengl, turned_90, turned_180, turned_270, "
+        "exchanged_centre, half_size, double_size, scaled, distortion_64, or as_given; may be repeated.",
+    ),
+]
 NoLengths = Annotated[bool, typer.Option("--no-lengths", help="Do not measure the lengths of the limbs on the keypoints of two or more cameras.")]
 Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.")]
 Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.")]
@@ -74,7 +83,7 @@ LABORATORIES = {
         "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
         "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
         # It has the body's measures.
-        omitted_options=("unit", "up", "no_lengths"),
+        omitted_options=("unit", "up", "no_lengths", "rig"),
     ),
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",
@@ -121,6 +130,7 @@ def _import(
     unit: Unit = None,
     up: Up = None,
     no_lengths: NoLengths = False,
+    rig: Rig = None,
 ) -> None:
     """Import a recording, print the remarks, and draw the picture for checking the session."""
     from bayes_body.base.config import configure
@@ -130,7 +140,9 @@ def _import(
 
     offsets = _numbers_by_camera("--offset", offset, "CAMERA=FRAMES, such as cam02=3", needs_camera=True)
     starts = _numbers_by_camera("--keypoints-first", keypoints_first, "[CAMERA=]NUMBER, such as 1 or cam02=440", needs_camera=False)
-    options = Options(unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths, starts)
+    options = Options(
+        unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths, starts, _changes(rig)
+    )
     if (session / FILE_NAME).exists() and not overwrite:
         raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
@@ -183,6 +195,18 @@ def _numbers_by_camera(option: str, texts: list[str] | None, expected: str, need
             raise input_error(option, f"camera '{name}' twice" if name else "two numbers for all cameras", expected, "leave one of them out")
         numbers[name] = value
     return numbers
+
+
+def _changes(texts: list[str] | None) -> dict[str, str]:
+    """Return the name of the change of each camera's calibration; under an empty name that of all cameras."""
+    changes: dict[str, str] = {}
+    for text in texts or []:
+        name, _, change = text.rpartition("=")
+        if name in changes:
+            problem = f"camera '{name}' twice" if name else "two changes of all cameras"
+            raise input_error("--rig", problem, "one change of each", "leave one of them out")
+        changes[name] = change
+    return changes
 
 
 def _compare_cameras(session: "Session", offsets: Mapping[str, int]) -> None:

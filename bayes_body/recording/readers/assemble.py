@@ -14,6 +14,7 @@ from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults, unnoted
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
+from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes
 from bayes_body.recording.readers.sources import Series, Source, find_background, find_series, find_source, settled_size
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session, save_session
@@ -139,8 +140,9 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     """
     check_height(options.height_m)
     check_fps(options.fps)
-    check_rig(rig.calibration, rig.cameras)
-    filmed = _filmed(rig)
+    check_changes(options.rig, [camera.name for camera in rig.cameras])
+    filmed = _filmed(rig, options.rig)
+    check_rig(rig.calibration, [recording.camera for recording in filmed])
     counts = {recording.camera.name: (recording.source.first, recording.source.count) for recording in filmed}
     timing = align(counts, options.offsets)
     fps, remarks = frame_rate({recording.camera.name: recording.source.fps for recording in filmed}, options.fps)
@@ -149,7 +151,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     calibration = written(rig.calibration, folder)
     recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
     session = excerpt(recorded_session, options.first_frame, options.frames)
-    remarks = [*(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
+    remarks = [*describe_changes(options.rig), *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
 
@@ -158,14 +160,15 @@ def _no_masks(options: Options) -> str:
     return f"There are no masks: silhouettes are computed from {scene}; give masks with --masks."
 
 
-def _filmed(rig: Rig) -> list[Filmed]:
+def _filmed(rig: Rig, changes: Changes) -> list[Filmed]:
     faults, filmed = Faults(), []
     places = [rig.folder / place for place in PLACES if (rig.folder / place).is_dir()]
     for camera in rig.cameras:
         with faults.collect():
             source = find_source([*places, rig.folder], camera.name)
-            remark = settled_size(f"camera '{camera.name}'", camera.size_px, source)
-            filmed.append(Filmed(camera, source, remark))
+            changed_camera = changed(camera, changes, source.size_px)
+            remark = settled_size(f"camera '{camera.name}'", changed_camera.size_px, source)
+            filmed.append(Filmed(changed_camera, source, remark))
     faults.raise_any()
     return filmed
 

@@ -6,6 +6,7 @@ The readers (`calibration_toml`, `calibration_qualisys`, `calibration_opencv`, `
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import cv2
@@ -46,6 +47,7 @@ class Calibrated(NamedTuple):
         distortion: (k1, k2, p1, p2, k3).
         rotation: (3, 3), world to camera.
         translation_m: (3,), metres.
+        quarter_turns: of the pictures against the calibration, clockwise, as the file says.
     """
 
     name: str
@@ -56,6 +58,12 @@ class Calibrated(NamedTuple):
     distortion: tuple[float, float, float, float, float]
     rotation: NDArray[np.float64]
     translation_m: NDArray[np.float64]
+    quarter_turns: int = 0
+
+    @classmethod
+    def from_spec(cls, camera: CameraSpec) -> "Calibrated":
+        """Return the record of a session's camera."""
+        return cls(*(getattr(camera, field.name) for field in fields(camera)))
 
     @property
     def viewpoint_m(self) -> NDArray[np.float64]:
@@ -64,7 +72,8 @@ class Calibrated(NamedTuple):
 
     def spec(self, size_px: tuple[int, int]) -> CameraSpec:
         """The session's camera, for images of that size."""
-        return CameraSpec(**{**self._asdict(), "size_px": size_px})
+        numbers = {field.name: getattr(self, field.name) for field in fields(CameraSpec)}
+        return CameraSpec(**{**numbers, "size_px": size_px})
 
 
 def calibrated(
@@ -199,21 +208,29 @@ def check_rig(calibration: object, cameras: Sequence[Calibrated]) -> None:
             if count > 1:
                 raise input_error(f"{calibration}: camera '{name}'", f"{count} cameras have this name", "unique names", "rename all but one")
     with faults.collect():
-        _check_distances(calibration, np.array([camera.viewpoint_m for camera in cameras]))
+        _check_distances(calibration, np.array([camera.viewpoint_m for camera in cameras]), np.array([camera.translation_m for camera in cameras]))
     faults.raise_any()
 
 
-def _check_distances(calibration: object, viewpoints: NDArray[np.float64]) -> None:
+def _check_distances(calibration: object, viewpoints: NDArray[np.float64], translations: NDArray[np.float64]) -> None:
     # A single camera can only be far from the world's origin, and it may stand there.
     middle = viewpoints.mean(axis=0) if len(viewpoints) > 1 else np.zeros(3)
-    extent = float(np.linalg.norm(viewpoints[:, None] - viewpoints, axis=-1).max())
+    extent = _extent(viewpoints)
     farthest = max(extent, float(np.linalg.norm(viewpoints - middle, axis=-1).max()))
     expected = f"a room of {NEAREST_M:g} to {FARTHEST_M:g} m"
     if not farthest <= FARTHEST_M:
         problem = f"cameras {farthest:.4g} m apart or from the world's origin"
         raise input_error(calibration, problem, expected, "it looks like a factor of 1000, millimetres read as metres")
     if len(viewpoints) > 1 and extent < NEAREST_M:
-        raise input_error(calibration, f"all cameras within {extent:.2g} m", expected, "it looks like a factor of 1000, metres read as millimetres")
+        remedy = "it looks like a factor of 1000, metres read as millimetres"
+        if NEAREST_M <= _extent(translations) <= FARTHEST_M:
+            # Where cameras look at the world's origin from one distance, T is the same for all, as if the centres were.
+            remedy = "it looks as if rotations and translations lead from the camera to the world: import with --rig inverted; or with --rig centres"
+        raise input_error(calibration, f"all cameras within {extent:.2g} m", expected, remedy)
+
+
+def _extent(points: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(points[:, None] - points, axis=-1).max())
 
 
 def _shown(numbers: NDArray[np.float64]) -> str:

@@ -33,6 +33,7 @@ class Options:
         frames: number of frames that are imported; all from the first one on by default.
         measures_lengths: whether the lengths of the limbs are measured on the keypoints of two or more cameras.
         keypoints_first: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame.
+        rig: the change of a camera's calibration, or of all cameras' under an empty name (`rig_option.NAMES`).
     """
 
     unit: str | None = None
@@ -49,6 +50,7 @@ class Options:
     frames: int | None = None
     measures_lengths: bool = True
     keypoints_first: Mapping[str, int] = field(default_factory=dict)
+    rig: Mapping[str, str] = field(default_factory=dict)
 
 
 def check_height(height_m: float | None) -> None:

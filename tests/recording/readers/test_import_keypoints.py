@@ -26,20 +26,23 @@ def pose(i: int):
     return turn, np.array([0.0, 0.9, 4.0])
 
 
-@pytest.fixture
-def lab(tmp_path):
-    """Two cameras with OpenCV's calibration in metres, six images of each, the second's counted from 2."""
-    folder = tmp_path / "lab"
+def make_lab(folder, written=lambda R, t: (R, t)):
+    """Two cameras with OpenCV's calibration in metres, six images of each, the second's counted from 2; `written` is what the file has of R and t."""
     for i, name in enumerate(("left", "right")):
         (folder / name).mkdir(parents=True)
         file = cv2.FileStorage(str(folder / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
-        for key, value in zip(("K", "dist", "R", "T"), (K, np.zeros(5), *pose(i)), strict=True):
+        for key, value in zip(("K", "dist", "R", "T"), (K, np.zeros(5), *written(*pose(i))), strict=True):
             file.write(key, value)
         file.release()
         for k in range(FRAMES):
             image = np.random.default_rng(k).integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
             cv2.imwrite(str(folder / name / f"{k + 2 * i:04d}.png"), image)
     return folder
+
+
+@pytest.fixture
+def lab(tmp_path):
+    return make_lab(tmp_path / "lab")
 
 
 def person(frame: int) -> np.ndarray:
@@ -231,16 +234,50 @@ def test_a_camera_without_keypoints(lab, tmp_path):
     assert read_frame(session, 0).keypoints[1] is None
 
 
-def test_a_camera_that_agrees_with_no_other_is_named(lab, tmp_path):
+def test_two_cameras_that_do_not_agree_are_refused(lab, tmp_path):
     folder = detect(tmp_path / "pose")
     for path in (folder / "right_json").iterdir():
         person = np.reshape(json.loads(path.read_text())["people"][0]["pose_keypoints_2d"], (-1, 3))
-        # Upside down.
+        # Mirrored: no turn does that.
         person[:, 1] = SIZE[1] - person[:, 1]
         path.write_text(json.dumps({"people": [{"pose_keypoints_2d": person.ravel().tolist()}]}))
-    _, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=folder))
-    pattern = re.compile(r"camera 'right': in \d of 6 frames nobody whom it sees agrees with the other cameras: .* calibration or its clock is off")
+    with pytest.raises(
+        InputError, match=r"lab: the keypoints contradict it: no two of 2 cameras agree .* expected both cameras to agree; .* --rig as_given"
+    ):
+        import_opencv(lab, tmp_path / "s", options(keypoints=folder))
+    assert not (tmp_path / "s").exists()
+    _, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=folder, rig={"": "as_given"}))
+    assert "--rig as_given: the calibration stays as it is, whatever the keypoints say." in remarks
+    pattern = re.compile(r"camera 'right': its keypoints contradict .* in \d of 6 frames: .* calibration or its clock is off")
     assert any(pattern.match(remark) for remark in remarks)
+
+
+def test_a_rig_is_changed_on_request_only(lab, tmp_path):
+    folder = detect(tmp_path / "pose")
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=folder))
+    flip = np.diag([1.0, -1.0, -1.0])
+    conventions = {
+        # Both cameras look at the origin from one distance.
+        "inverted": (lambda R, t: (R.T, -R.T @ t), "all cameras within .* import with --rig inverted"),
+        "opengl": (lambda R, t: (flip @ R, flip @ t), r"the keypoints contradict it: .* the rays of the keypoints meet if .*\(--rig opengl\)"),
+    }
+    for change, (written, sentence) in conventions.items():
+        source = make_lab(tmp_path / change, written)
+        with pytest.raises(InputError, match=sentence):
+            import_opencv(source, tmp_path / "s", options(keypoints=folder))
+        session, remarks = import_opencv(source, tmp_path / "s", options(keypoints=folder, rig={"": change}))
+        assert remarks[0].startswith(f"--rig {change}: the calibration was changed, since ")
+        for view, expected in zip(session.views, wanted.views, strict=True):
+            np.testing.assert_allclose(view.camera.rotation, expected.camera.rotation, atol=1e-9)
+            np.testing.assert_allclose(view.camera.translation_m, expected.camera.translation_m, atol=1e-6)
+        (tmp_path / "s" / "session.toml").unlink()
+    for rig, sentence in {
+        ("left", "turned_18"): "--rig: 'turned_18': no such change of a calibration; did you mean 'turned_180'",
+        ("lift", "turned_180"): "--rig: 'lift': no such camera; did you mean 'left'",
+        ("left", "scaled"): "--rig left=scaled: its calibration does not state the size of its pictures; expected half_size or double_size",
+    }.items():
+        with pytest.raises(InputError, match=re.escape(sentence)):
+            import_opencv(lab, tmp_path / "s", options(rig=dict([rig])))
 
 
 def test_what_is_wrong_is_said(lab, tmp_path):
