@@ -14,7 +14,8 @@ from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults, unnoted
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
-from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes
+from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes, describe_turns, upright
+from bayes_body.recording.readers.rig_sizes import OtherSize, check_sizes
 from bayes_body.recording.readers.sources import Series, Source, find_background, find_series, find_source, settled_size
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session, save_session
@@ -151,7 +152,8 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     calibration = written(rig.calibration, folder)
     recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
     session = excerpt(recorded_session, options.first_frame, options.frames)
-    remarks = [*describe_changes(options.rig), *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
+    turns = describe_turns([recording.camera for recording in filmed])
+    remarks = [*describe_changes(options.rig), *turns, *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
 
@@ -161,14 +163,22 @@ def _no_masks(options: Options) -> str:
 
 
 def _filmed(rig: Rig, changes: Changes) -> list[Filmed]:
-    faults, filmed = Faults(), []
+    faults, recordings = Faults(), list[tuple[Calibrated, Source]]()
     places = [rig.folder / place for place in PLACES if (rig.folder / place).is_dir()]
     for camera in rig.cameras:
         with faults.collect():
             source = find_source([*places, rig.folder], camera.name)
-            changed_camera = changed(camera, changes, source.size_px)
-            remark = settled_size(f"camera '{camera.name}'", changed_camera.size_px, source)
-            filmed.append(Filmed(changed_camera, source, remark))
+            recordings.append((changed(upright(camera, changes, source.size_px), changes, source.size_px), source))
+    faults.raise_any()
+    filmed, unfit = list[Filmed](), dict[str, OtherSize]()
+    for camera, source in recordings:
+        with faults.collect():
+            try:
+                filmed.append(Filmed(camera, source, settled_size(f"camera '{camera.name}'", camera.size_px, source)))
+            except InputError:
+                unfit[camera.name] = OtherSize(source.path.name, source.size_px, camera.size_px or source.size_px)
+                raise
+    check_sizes(unfit, len(recordings))
     faults.raise_any()
     return filmed
 

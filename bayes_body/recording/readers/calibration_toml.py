@@ -2,7 +2,7 @@
 
 `name`, `size`, `matrix` (3, 3), `distortions` (4 or 5), `rotation` (Rodrigues vector, or a 3 x 3 matrix by rows) and `translation`,
 $X_{camera} = R X_{world} + T$. Pose2Sim's translations are in metres; Anipose's are in the unit of its calibration board. Caliscope writes the tables
-below `[cameras]`, under the number of the camera, whose videos it names `cam_N`.
+below `[cameras]`, under the number of the camera, whose videos it names `cam_N`. Its `rotation_count` waits for the pictures (`upright`).
 
 The programs write further tables and numbers beside the cameras, such as `[metadata]` or `[charuco]`. What has none of a camera's keys is no camera.
 """
@@ -40,6 +40,8 @@ class _Camera(BaseModel):
     rotation: Triple
     translation: Triple
     fisheye: Annotated[bool, Field(strict=True)] = False
+    # Quarter turns of the pictures, clockwise, to show people upright. Caliscope calibrates on the unturned ones.
+    rotation_count: Annotated[int, Field(strict=True, ge=-3, le=3)] = 0
 
 
 class _CameraWithMatrix(_Camera):
@@ -105,7 +107,9 @@ def _camera(entry: str, header: str, table: Mapping[str, Any], unit_m: float) ->
             f"{entry}.fisheye", "true", "a plain lens (k1, k2, p1, p2, k3)", "calibrate again without the fisheye model, or undistort the images"
         )
     translation_m = [unit_m * value for value in camera.translation]
-    return calibrated(entry, camera_name(header, camera.name), camera.size, camera.matrix, camera.distortions, camera.rotation, translation_m)
+    name = camera_name(header, camera.name)
+    record = calibrated(entry, name, camera.size, camera.matrix, camera.distortions, camera.rotation, translation_m)
+    return record._replace(quarter_turns=camera.rotation_count % 4)
 
 
 def camera_name(header: str, stated_name: str | None) -> str:

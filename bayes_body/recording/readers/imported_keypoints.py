@@ -3,7 +3,6 @@
 Each camera has a folder of OpenPose's files, or one file that another program wrote for the whole video (pose_files/).
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.base.errors import InputError, input_error
-from bayes_body.base.progress import waiting
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
 from bayes_body.recording.readers.keypoints import Layout, Tally, choose_layout, describe_tallies, keypoint_files, read_openpose, read_people
@@ -21,9 +19,7 @@ from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.person import People
 from bayes_body.recording.readers.pose_files.find import PoseFiles, find_pose_files, read_track
 from bayes_body.recording.readers.pose_files.pose_track import PoseTrack
-from bayes_body.recording.readers.rig_judge import Verdict, judge
-from bayes_body.recording.readers.rig_option import AS_GIVEN
-from bayes_body.recording.readers.rig_sentences import contradiction, describe_dissent, rough_agreement
+from bayes_body.recording.readers.rig_verdict import describe_verdict, judge_rig
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
 # How many evenly spaced files of a camera are used to find the order of the keypoints.
@@ -57,7 +53,7 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
         )
     if not folders:
         return session, files.remarks(names)
-    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first, AS_GIVEN in options.rig.values())
+    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first, options.rig)
     session, measures = with_measured_lengths(session) if options.measures_lengths else (session, [])
     return session, [*files.remarks(names), *remarks, *measures]
 
@@ -67,7 +63,7 @@ def with_keypoints(
     folders: Mapping[str, Path],
     layout: str | None = None,
     starts: Mapping[str, int] | None = None,
-    is_rig_given: bool = False,
+    rig: Mapping[str, str] | None = None,
 ) -> tuple[Session, list[str]]:
     """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
 
@@ -76,7 +72,7 @@ def with_keypoints(
         folders: each camera's folder of files, numbered like its frames, or its file of the whole video; a camera may be missing.
         layout: the order of the keypoints; None: infer it from the data.
         starts: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame, if it is another one.
-        is_rig_given: whether the calibration is used even if the keypoints contradict it.
+        rig: the changes of the calibration that the user asks for.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
@@ -90,15 +86,15 @@ def with_keypoints(
         return session, ["The keypoint files contain no people: the session has no keypoints."]
     order = _order(folders, tracks, [*somebody, *_sample(views, folders)], layout)
     people, order = _of_body(people, order)
-    verdict = _judge_rig(session, views, people, order, is_rig_given)
+    verdict = judge_rig(session, views, people, order.keypoints, rig or {})
     places = follow_person([view.camera for view in views], people)
     first = {
         view.camera.name: _named(view.camera, among[place], order)
         for view, among, place in zip(views, people[0], places[0], strict=True)
         if place is not None
     }
-    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places)]
-    remarks += [*_seldom(views, people, places, verdict), *(rough_agreement([view.camera for view in views], verdict) if verdict else [])]
+    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, places)]
+    remarks += describe_verdict(views, people, places, verdict)
     files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
@@ -156,24 +152,6 @@ def _of_body(people: list[list[People]], order: Layout) -> tuple[list[list[Peopl
         return people, order
     names = tuple(order.keypoints[place] for place in columns)
     return [[group[:, columns] if len(group) else group for group in frame] for frame in people], order._replace(keypoints=names)
-
-
-def _judge_rig(session: Session, views: Sequence[View], people: list[list[People]], order: Layout, is_rig_given: bool) -> Verdict | None:
-    """Return how the cameras agree; None if no two cameras see somebody at the same time, or if they move.
-
-    Raises:
-        InputError: no majority of the cameras agrees, unless the calibration is used in any case.
-    """
-    cameras = [view.camera for view in views]
-    if len(cameras) < 2 or session.moves:
-        return None
-    with waiting("looking whether the cameras agree", sys.stderr.isatty()):
-        verdict = judge(cameras, people, order.keypoints)
-    # Among several people no majority need see the same one.
-    is_crowd = any(len(group) > 1 for frame in people for group in frame)
-    if verdict and verdict.contradicts and not is_rig_given and (verdict.remedies or not is_crowd):
-        raise contradiction(session.calibration or "the calibration", cameras, verdict)
-    return verdict
 
 
 def _other_numbers(camera: str, path: Path, numbers: Sequence[int], first: int, count: int) -> InputError:
@@ -239,10 +217,9 @@ def _crowd(session: Session, views: Sequence[View], people: Sequence[People], se
         for view, among, place in zip(views, people, places, strict=True)
         if len(among) > 1 or place is None
     ]
-    is_crowd = any(len(among) > 1 for among in people)
     how = "on whom most cameras agree" if len(views) > 1 else "who is largest"
     return (
-        [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if is_crowd else []
+        [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if choices else []
     )
 
 
@@ -256,14 +233,9 @@ def _describe_first_shown(session: Session, series: Sequence[Places]) -> str:
     return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
 
 
-def _seldom(views: Sequence[View], people: Sequence[Sequence[People]], places: Sequence[Places], verdict: Verdict | None) -> list[str]:
-    """Remarks on cameras that do not see the subject in every frame, and on those that see only people who agree with no other camera."""
+def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:
+    """A remark on cameras that do not see the subject in every frame."""
     frames = len(places)
     unseen = [sum(chosen[c] is None for chosen in places) for c in range(len(views))]
-    strangers = [sum(chosen[c] is None and len(frame[c]) > 0 for chosen, frame in zip(places, people, strict=True)) for c in range(len(views))]
-    contradicting = [c for c, count in enumerate(strangers) if len(views) > 1 and 2 * count > frames]
-    counts = [f"{view.camera.name}: {unseen[c]} of {frames}" for c, view in enumerate(views) if unseen[c] and c not in contradicting]
-    remarks = [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []
-    agreeing = len(views) - len(contradicting)
-    causes = verdict.causes if verdict else {}
-    return remarks + [describe_dissent(views[c].camera.name, strangers[c], frames, agreeing, causes.get(c)) for c in contradicting]
+    counts = [f"{view.camera.name}: {count} of {frames}" for view, count in zip(views, unseen, strict=True) if count]
+    return [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []

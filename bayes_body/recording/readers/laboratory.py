@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.recording.readers import calibration_qualisys, calibration_vicon
-from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
+from bayes_body.recording.readers.assemble import Rig, only_file, saved, source_folder
 from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.options import Axis, Options, up_axis
+from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 
@@ -53,6 +54,6 @@ def import_laboratory(laboratory: Laboratory, source: Path, folder: Path, option
     notes: list[str] = []
     path = only_file([source / "calibration", source], laboratory.patterns, expected, notes.append)
     rig = Rig(path, laboratory.read(path, notes.append), source, up_axis(options.up or laboratory.up, ""))
-    session, remarks = assemble(rig, folder.resolve(), f"{laboratory.maker} recording {source.resolve().name}", options)
+    session, remarks = assemble_upright(rig, folder.resolve(), f"{laboratory.maker} recording {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options)
     return saved(session), [*notes, *remarks, *keypoint_remarks]

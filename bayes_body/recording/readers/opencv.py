@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.assemble import Rig, assemble, saved, source_folder
+from bayes_body.recording.readers.assemble import Rig, saved, source_folder
 from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.calibration_opencv import SUFFIXES, read_opencv
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
+from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 WHAT = "a folder with a calibration file (yml, yaml, xml, json, or one toml of Anipose) and a recording of each camera"
@@ -37,7 +38,7 @@ def import_opencv(source: Path, folder: Path, options: Options | None = None) ->
     unit_m, up = metres_per_unit(options.unit, WHY_UNIT), up_axis(options.up, WHY_UP)
     path, notes = _calibration([source / "calibration", source]), list[str]()
     cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m, notes.append) if path.suffix == ".toml" else read_opencv(path, unit_m)
-    session, remarks = assemble(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
+    session, remarks = assemble_upright(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options)
     return saved(session), [*notes, *remarks, *keypoint_remarks]
 

@@ -4,11 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.assemble import Rig, assemble, only_file, saved, source_folder
+from bayes_body.recording.readers.assemble import Rig, only_file, saved, source_folder
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.laboratory import QUALISYS, VICON
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
+from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
@@ -39,7 +40,7 @@ def import_pose2sim(source: Path, folder: Path, options: Options | None = None) 
     remarks: list[str] = []
     path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt", "*.xcp"), f"one calibration, {WHAT}", remarks.append)
     rig = _rig(source, path, options, remarks.append)
-    session, more = assemble(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options)
+    session, more = assemble_upright(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options, source / "pose")
     session, keypoint_remarks = with_imported_keypoints(session, options, source / "pose")
     return saved(session), [*remarks, *more, *keypoint_remarks]
 

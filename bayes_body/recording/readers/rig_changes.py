@@ -25,6 +25,8 @@ type Size = tuple[int, int]
 FLIP = np.diag([1.0, -1.0, -1.0])
 # A quarter turn clockwise: what was to the right of a picture's middle is below it.
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+# By the number of quarter turns.
+ANGLES = {1: "90° clockwise", 2: "180°", 3: "90° counterclockwise"}
 # Pose2Sim's conversion of Qualisys's calibrations divides the coefficients by this, as if they were pixels.
 SUBPIXELS = 64.0
 
@@ -108,12 +110,9 @@ def scaled(camera: CameraSpec, size_px: Size) -> CameraSpec:
     return replace(camera, size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy))
 
 
-def _turn(quarters: int, direction: str) -> Change:
-    return Change(lambda camera: turned(camera, quarters), f"the pictures are turned by {direction} against the calibration", _turned_size(quarters))
-
-
-def _turned_size(quarters: int) -> Callable[[Size], Size]:
-    return _exchanged if quarters % 2 else _same_size
+def _turn(quarters: int) -> Change:
+    meaning = f"the pictures are turned by {ANGLES[quarters]} against the calibration"
+    return Change(lambda camera: turned(camera, quarters), meaning, _exchanged if quarters % 2 else _same_size)
 
 
 def _exchanged(size_px: Size) -> Size:
@@ -144,9 +143,9 @@ POSES: Mapping[str, Change] = {
 }
 # Which picture a calibration belongs to. These may concern a single camera.
 VIEWS: Mapping[str, Change] = {
-    "turned_90": _turn(1, "90° clockwise"),
-    "turned_180": _turn(2, "180°"),
-    "turned_270": _turn(3, "90° counterclockwise"),
+    "turned_90": _turn(1),
+    "turned_180": _turn(2),
+    "turned_270": _turn(3),
     "exchanged_centre": Change(_with_exchanged_centre, "column and row of the principal point are exchanged"),
 }
 # The size of that picture. Keypoints of pictures of another size look the same.

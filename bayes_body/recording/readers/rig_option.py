@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.faults import Faults
-from bayes_body.recording.readers.rig_changes import CHANGES, Size, scaled
+from bayes_body.recording.readers.rig_changes import ANGLES, CHANGES, Size, scaled, turned
+from bayes_body.recording.readers.sources import is_scaled
 
 # The calibration stays as it is, even if the keypoints contradict it.
 AS_GIVEN = "as_given"
@@ -50,14 +51,46 @@ def changed(camera: Calibrated, changes: Changes, size_px: Size) -> Calibrated:
     Raises:
         InputError: the pictures have another shape than those of the calibration, so that it cannot be scaled.
     """
+    turns = camera.quarter_turns
     for name in (changes.get(""), changes.get(camera.name)):
         if name == SCALED:
             camera = _scaled(camera, size_px)
-        elif name in CHANGES:
+        elif name is not None and name != AS_GIVEN:
             change = CHANGES[name]
             # A calibration that does not state the size of its pictures belongs to those that the change leads from.
             camera = Calibrated.from_spec(change.apply(camera.spec(camera.size_px or change.calibrated_size(size_px))))
-    return camera
+    return camera._replace(quarter_turns=turns)
+
+
+def upright(camera: Calibrated, changes: Changes, size_px: Size) -> Calibrated:
+    """Return the camera after the quarter turns that its file states, if the pictures were turned: their size tells, if it can.
+
+    Pictures that are square, or turned by 180°, have the same size before and after: the file is believed, unless the user asks for `as_given`.
+
+    Args:
+        camera: as its file has it.
+        changes: that the user asks for.
+        size_px: of its pictures.
+    """
+    turns, stated_px = camera.quarter_turns, camera.size_px
+    camera = camera._replace(quarter_turns=0)
+    is_unturned = turns % 2 == 1 and stated_px is not None and stated_px[0] != stated_px[1] and stated_px == size_px
+    if turns == 0 or stated_px is None or is_unturned or is_as_given(changes, camera.name):
+        return camera
+    return Calibrated.from_spec(turned(camera.spec(stated_px), turns))._replace(quarter_turns=turns)
+
+
+def describe_turns(cameras: Sequence[Calibrated]) -> list[str]:
+    """Return a sentence on the cameras that were turned because their file states it."""
+    by_turn: dict[int, list[str]] = {}
+    for camera in cameras:
+        if camera.quarter_turns:
+            by_turn.setdefault(camera.quarter_turns, []).append(camera.name)
+    return [
+        f"rotation_count: the calibration of {', '.join(names)} was turned by {ANGLES[turns]} with the pictures; "
+        f"if they were not turned, give --rig {AS_GIVEN}."
+        for turns, names in by_turn.items()
+    ]
 
 
 def _scaled(camera: Calibrated, size_px: Size) -> Calibrated:
@@ -70,10 +103,9 @@ def _scaled(camera: Calibrated, size_px: Size) -> Calibrated:
     return Calibrated.from_spec(scaled(camera.spec(camera.size_px), size_px))
 
 
-def is_scaled(calibrated_px: Size, size_px: Size) -> bool:
-    """Return whether pictures have the shape of those of the calibration, up to half a pixel, and another size."""
-    factor = size_px[0] / calibrated_px[0]
-    return size_px != calibrated_px and abs(size_px[1] - factor * calibrated_px[1]) <= 0.5
+def option(changes: Changes) -> str:
+    """Return changes as a user writes them."""
+    return " ".join(f"--rig {f'{camera}={name}' if camera else name}" for camera, name in changes.items())
 
 
 def describe_changes(changes: Changes) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.recording.readers.rig_changes import CHANGES, SIZES
 from bayes_body.recording.readers.rig_judge import Cause, Verdict
-from bayes_body.recording.readers.rig_option import AS_GIVEN
+from bayes_body.recording.readers.rig_option import AS_GIVEN, option
 from bayes_body.recording.session.session import CameraSpec
 
 # So many changes are listed, where several make the rays of two cameras meet.
@@ -45,14 +45,13 @@ def describe_remedies(cameras: Sequence[CameraSpec], verdict: Verdict) -> str:
 
 
 def _describe(cameras: Sequence[CameraSpec], remedy: Mapping[str, str]) -> str:
-    options = " ".join(f"--rig {camera}={change}" if camera else f"--rig {change}" for camera, change in remedy.items())
     meanings = [f"{f'for {camera}: ' if camera else ''}{CHANGES[change].meaning}" for camera, change in remedy.items()]
     sizes = {change for change in remedy.values() if change in SIZES}
     if sizes and all(_is_central(camera) for camera in cameras):
         # The calibration is that of these pictures, so it is the keypoints that are of others.
         size = "half" if "half_size" in sizes else "twice"
         return f"the keypoints belong to pictures of {size} the size (find them in the pictures that are imported)"
-    return f"{', and '.join(meanings)} ({options})"
+    return f"{', and '.join(meanings)} ({option(remedy)})"
 
 
 def _is_central(camera: CameraSpec) -> bool:

@@ -174,3 +174,9 @@ def settled_size(camera: str, calibrated_px: tuple[int, int] | None, source: Sou
         return f"{camera}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
     remedy = "name the recording that the camera was calibrated for, or calibrate again"
     raise input_error(camera, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)
+
+
+def is_scaled(calibrated_px: tuple[int, int], size_px: tuple[int, int]) -> bool:
+    """Return whether pictures have the shape of those of the calibration, up to half a pixel, and another size."""
+    factor = size_px[0] / calibrated_px[0]
+    return size_px != calibrated_px and abs(size_px[1] - factor * calibrated_px[1]) <= 0.5

@@ -4,47 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_rigs import LANDSCAPE, NAMES, PORTRAIT, crowd, rig
 
-from bayes_body.recording.readers.keypoints import LAYOUTS
 from bayes_body.recording.readers.rig_changes import CHANGES, FLIP, scaled, turned
 from bayes_body.recording.readers.rig_judge import judge
 from bayes_body.recording.readers.triangulate import project
-from bayes_body.recording.session.session import CameraSpec
-
-NAMES = LAYOUTS["COCO_17"]
-LANDSCAPE, PORTRAIT = (1280, 720), (720, 1280)
-
-
-def rig(count, size=LANDSCAPE, seed=0) -> list[CameraSpec]:
-    """Cameras around a room, at different heights and distances, with tilted lenses."""
-    rng, cameras = np.random.default_rng(seed), []
-    for azimuth in 2 * np.pi * np.arange(count) / count + rng.uniform(-0.3, 0.3, count):
-        centre = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * rng.uniform(3.5, 5.0) + [0, 0, rng.uniform(0.8, 2.4)]
-        forward = np.array([*rng.uniform(-0.2, 0.2, 2), 1.0]) - centre
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        lens = (*rng.uniform(-0.1, 0.05, 2), *rng.uniform(-1e-3, 1e-3, 2), 0.0)
-        middle = tuple(side / 2 + rng.uniform(-15, 15) for side in size)
-        cameras.append(CameraSpec(f"c{len(cameras)}", size, (1000.0, 1004.0), middle, 0.0, lens, R, -R @ centre))
-    return cameras
-
-
-def crowd(cameras, frames=5, noise_px=3.0, seed=0):
-    """The people of each frame and camera: one, who walks."""
-    rng = np.random.default_rng(seed)
-    body = rng.uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.75], (len(NAMES), 3))
-    people = []
-    for frame in range(frames):
-        points = body + np.array([0.1 * frame - 0.2, 0.05 * frame, 0.0])
-        people.append(
-            [
-                np.column_stack([project(camera, points) + rng.normal(0, noise_px, (len(NAMES), 2)), np.full(len(NAMES), 0.9)])[None]
-                for camera in cameras
-            ]
-        )
-    return people
 
 
 def as_written(convention, camera):

@@ -1,0 +1,137 @@
+"""One rig, written as each program writes it: every reader sees the same pictures. And the changes of a calibration that an import makes or names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_rigs import (
+    PORTRAIT,
+    crowd,
+    rig,
+    write_easymocap,
+    write_parsec,
+    write_qualisys,
+    write_recording,
+    write_toml,
+    write_vicon,
+    write_yml,
+)
+
+from bayes_body.base.errors import InputError
+from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration_vicon import read_vicon
+from bayes_body.recording.readers.opencv import import_opencv
+from bayes_body.recording.readers.options import Options
+from bayes_body.recording.readers.parsec_files import read_calibration
+from bayes_body.recording.readers.rig_changes import CHANGES, scaled, turned
+from bayes_body.recording.readers.triangulate import project
+
+READERS = {
+    "Pose2Sim": lambda folder, cameras: read_calibration_toml(write_toml(folder / "Calib.toml", cameras)),
+    "Caliscope": lambda folder, cameras: read_calibration_toml(write_toml(folder / "array.toml", cameras, nested=True)),
+    "OpenCV": lambda folder, cameras: read_opencv(write_yml(folder / "lab", cameras), 1e-3),
+    "EasyMocap": lambda folder, cameras: read_opencv(write_easymocap(folder / "lab", cameras), 1.0),
+    "Qualisys": lambda folder, cameras: read_qualisys(write_qualisys(folder / "a.qca.txt", cameras)),
+    "Vicon": lambda folder, cameras: read_vicon(write_vicon(folder / "a.xcp", cameras)),
+    "PARSEC": lambda folder, cameras: [read_calibration(write_parsec(folder / f"{camera.name}.cal", camera)) for camera in cameras],
+}
+POINTS = np.random.default_rng(0).uniform([-0.8, -0.8, 0.0], [0.8, 0.8, 2.0], (200, 3))
+
+
+@pytest.mark.parametrize("program", READERS)
+def test_a_rig_is_the_same_through_each_reader(tmp_path, program):
+    cameras = rig(4, PORTRAIT, seed=5)
+    if program == "Vicon":
+        cameras = [replace(camera, distortion=(*camera.distortion[:2], 0.0, 0.0, 0.004)) for camera in cameras]
+    records = READERS[program](tmp_path, cameras)
+    assert [record.name for record in records] == [camera.name for camera in cameras]
+    for record, camera in zip(records, cameras, strict=True):
+        np.testing.assert_allclose(project(record.spec(camera.size_px), POINTS), project(camera, POINTS), atol=0.01)
+
+
+SMALL = (60, 100)
+
+
+def small_rig(size=SMALL):
+    """Four cameras with small pictures."""
+    return [scaled(camera, size) for camera in rig(4, (size[0] * 10, size[1] * 10), seed=7)]
+
+
+def import_toml(source, tmp_path, **options):
+    session, remarks = import_opencv(source, tmp_path / "s", Options("m", "z", fps=30.0, keypoints=source / "pose", **options))
+    return [view.camera for view in session.views], remarks
+
+
+def same(cameras, expected):
+    for camera, wanted in zip(cameras, expected, strict=True):
+        assert camera.size_px == wanted.size_px
+        np.testing.assert_allclose(project(camera, POINTS), project(wanted, POINTS), atol=1e-3)
+
+
+@pytest.mark.parametrize(("turns", "size"), [(1, SMALL), (3, (80, 80)), (2, SMALL), (-1, SMALL)])
+def test_a_calibration_turns_with_pictures_if_its_file_says_so(tmp_path, turns, size):
+    cameras = small_rig(size)
+    shown = [turned(camera, turns) for camera in cameras]
+    source = write_recording(tmp_path / "lab", shown, crowd(shown, noise_px=0.2))
+    write_toml(source / "array.toml", cameras, f"rotation_count = {turns}", nested=True)
+    read, remarks = import_toml(source, tmp_path)
+    same(read, shown)
+    angle = {1: "90° clockwise", 2: "180°", 3: "90° counterclockwise"}[turns % 4]
+    assert (
+        f"rotation_count: the calibration of c0, c1, c2, c3 was turned by {angle} with the pictures; if they were not turned, give --rig as_given."
+        in remarks
+    )
+
+
+def test_pictures_that_were_not_turned_keep_their_calibration(tmp_path):
+    cameras = small_rig()
+    source = write_recording(tmp_path / "lab", cameras, crowd(cameras, noise_px=0.2))
+    write_toml(source / "array.toml", cameras, "rotation_count = 1", nested=True)
+    read, remarks = import_toml(source, tmp_path)
+    same(read, cameras)
+    assert not any("rotation_count" in remark for remark in remarks)
+    # A turn by 180° does not show in their size: the file is believed, the keypoints contradict it, and the user decides.
+    write_toml(source / "array.toml", cameras, "rotation_count = 2", nested=True)
+    read, _ = import_toml(source, tmp_path, rig={"": "as_given"})
+    same(read, cameras)
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+@pytest.mark.parametrize("chosen", [(2,), (0, 1, 2, 3)])
+def test_the_turn_of_pictures_with_exchanged_sides_is_named_by_the_keypoints(tmp_path, quarters, chosen):
+    cameras = small_rig()
+    shown = [turned(camera, quarters) if c in chosen else camera for c, camera in enumerate(cameras)]
+    source = write_recording(tmp_path / "lab", shown, crowd(shown, noise_px=0.2))
+    write_toml(source / "Calib.toml", cameras)
+    change = f"turned_{90 * quarters}"
+    written = f"c2={change}" if len(chosen) == 1 else change
+    with pytest.raises(InputError, match=rf"100 x 60 pixels; expected 60 x 100, .* the rays of the keypoints meet .* with --rig {written}\.$"):
+        import_toml(source, tmp_path)
+    read, remarks = import_toml(source, tmp_path, rig={"c2" if len(chosen) == 1 else "": change})
+    same(read, shown)
+    assert f"--rig {written}: the calibration was changed, since {CHANGES[change].meaning}." in remarks
+    for path in source.glob("pose/*/*"):
+        path.unlink()
+    for path in source.glob("pose/*"):
+        path.rmdir()
+    # Nothing tells in which direction.
+    with pytest.raises(InputError, match=r"turned_90 \(90° clockwise\) or --rig .*turned_270 \(90° counterclockwise\)\.$"):
+        import_opencv(source, tmp_path / "t", Options("m", "z", fps=30.0))
+
+
+@pytest.mark.parametrize(("factor", "words"), [(2, "half the"), (1.25, "0.8 times the")])
+def test_a_calibration_of_larger_pictures_is_scaled_on_request(tmp_path, factor, words):
+    shown = small_rig()
+    cameras = [scaled(camera, (int(SMALL[0] * factor), int(SMALL[1] * factor))) for camera in shown]
+    source = write_recording(tmp_path / "lab", shown, crowd(shown, noise_px=0.2))
+    write_toml(source / "Calib.toml", cameras)
+    with pytest.raises(InputError, match=rf"the pictures have exactly {words} size: .* scale the calibration by --rig scaled"):
+        import_toml(source, tmp_path)
+    read, remarks = import_toml(source, tmp_path, rig={"": "scaled"})
+    same(read, shown)
+    assert "--rig scaled: the calibration was scaled to the size of the pictures." in remarks
+    write_toml(source / "Calib.toml", [replace(camera, size_px=(60, 80)) for camera in shown])
+    with pytest.raises(InputError, match=r"--rig c1=scaled: pictures of 60 x 100; expected the shape of 60 x 80"):
+        import_toml(source, tmp_path, rig={"c1": "scaled"})

@@ -1,0 +1,156 @@
+"""Rigs around a room, what keypoint networks see of a person in them, and their calibrations as programs write them."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.session.session import CameraSpec
+
+NAMES = LAYOUTS["COCO_17"]
+LANDSCAPE, PORTRAIT = (1280, 720), (720, 1280)
+
+
+def rig(count, size=LANDSCAPE, seed=0) -> list[CameraSpec]:
+    """Cameras around a room, at different heights and distances, with tilted lenses."""
+    rng, cameras = np.random.default_rng(seed), []
+    for azimuth in 2 * np.pi * np.arange(count) / count + rng.uniform(-0.3, 0.3, count):
+        centre = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * rng.uniform(3.5, 5.0) + [0, 0, rng.uniform(0.8, 2.4)]
+        forward = np.array([*rng.uniform(-0.2, 0.2, 2), 1.0]) - centre
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(forward, right), forward])
+        lens = (*rng.uniform(-0.1, 0.05, 2).tolist(), *rng.uniform(-1e-3, 1e-3, 2).tolist(), 0.0)
+        middle = tuple(side / 2 + float(rng.uniform(-15, 15)) for side in size)
+        cameras.append(CameraSpec(f"c{len(cameras)}", size, (1000.0, 1004.0), middle, 0.0, lens, R, -R @ centre))
+    return cameras
+
+
+def crowd(cameras, frames=5, noise_px=3.0, seed=0):
+    """The people of each frame and camera: one, who walks."""
+    rng = np.random.default_rng(seed)
+    body = rng.uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.75], (len(NAMES), 3))
+    people = []
+    for frame in range(frames):
+        points = body + np.array([0.1 * frame - 0.2, 0.05 * frame, 0.0])
+        people.append(
+            [
+                np.column_stack([project(camera, points) + rng.normal(0, noise_px, (len(NAMES), 2)), np.full(len(NAMES), 0.9)])[None]
+                for camera in cameras
+            ]
+        )
+    return people
+
+
+def write_recording(folder: Path, cameras, people) -> Path:
+    """Write pictures (CAMERA/0000.png), and keypoints in COCO_17 (pose/CAMERA_json)."""
+    for c, camera in enumerate(cameras):
+        pictures, keypoints = folder / camera.name, folder / "pose" / f"{camera.name}_json"
+        pictures.mkdir(parents=True)
+        keypoints.mkdir(parents=True)
+        for frame, groups in enumerate(people):
+            cv2.imwrite(str(pictures / f"{frame:04d}.png"), np.full(camera.size_px[::-1], 100 + frame, np.uint8))
+            persons = [{"pose_keypoints_2d": person.ravel().tolist()} for person in groups[c]]
+            (keypoints / f"{camera.name}.{frame:04d}.json").write_text(json.dumps({"people": persons}))
+    return folder
+
+
+def matrix_of(camera) -> np.ndarray:
+    (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
+    return np.array([[fx, fx * camera.skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def write_toml(path: Path, cameras, more="", nested=False) -> Path:
+    """Pose2Sim's tables, or Caliscope's with rotation matrices below [cameras]; `more` is written into each."""
+    lines = []
+    for c, camera in enumerate(cameras):
+        rotation = camera.rotation if nested else cv2.Rodrigues(camera.rotation)[0].ravel()
+        lines += [f"[cameras.{c}]" if nested else f"[{camera.name}]", f'name = "{camera.name}"', f"size = {list(camera.size_px)}"]
+        lines += [f"matrix = {matrix_of(camera).tolist()}", f"distortions = {list(camera.distortion)}", f"rotation = {rotation.tolist()}"]
+        lines += [f"translation = {camera.translation_m.tolist()}", more, ""]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def write_yml(folder: Path, cameras) -> Path:
+    """OpenCV's file of each camera, in millimetres."""
+    folder.mkdir()
+    for camera in cameras:
+        file = cv2.FileStorage(str(folder / f"{camera.name}.yml"), cv2.FILE_STORAGE_WRITE)
+        for key, values in {
+            "K": matrix_of(camera),
+            "dist": np.array(camera.distortion),
+            "R": camera.rotation,
+            "T": 1000 * camera.translation_m,
+        }.items():
+            file.write(key, values)
+        file.release()
+    return folder
+
+
+def write_easymocap(folder: Path, cameras) -> Path:
+    """EasyMocap's intri.yml and extri.yml."""
+    folder.mkdir()
+    inner, outer = (cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE) for name in ("intri.yml", "extri.yml"))
+    for file in (inner, outer):
+        file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
+        for camera in cameras:
+            file.write("", camera.name)
+        file.endWriteStruct()
+    for camera in cameras:
+        inner.write(f"K_{camera.name}", matrix_of(camera))
+        inner.write(f"dist_{camera.name}", np.array([camera.distortion]))
+        outer.write(f"R_{camera.name}", cv2.Rodrigues(camera.rotation)[0])
+        outer.write(f"T_{camera.name}", camera.translation_m[:, None])
+    inner.release()
+    outer.release()
+    return folder
+
+
+def write_qualisys(path: Path, cameras) -> Path:
+    """Qualisys's file: pixels times 64, millimetres, the view along -z."""
+    lines = ["<?xml version='1.0' encoding='ASCII'?>", "<calibration><cameras>"]
+    for camera in cameras:
+        (fx, fy), (cx, cy), (k1, k2, p1, p2, k3) = 64 * np.array(camera.focal_px), 64 * np.array(camera.centre_px), camera.distortion
+        turn = (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).tolist()
+        entries = " ".join(f'r{row + 1}{column + 1}="{turn[row][column]}"' for row in range(3) for column in range(3))
+        x, y, z = (-1000 * camera.rotation.T @ camera.translation_m).tolist()
+        width, height = camera.size_px
+        lines += [
+            f'<camera serial="{camera.name}" model="Miqus Video" viewrotation="0">',
+            f'<fov_video left="0" top="0" right="{width - 1}" bottom="{height - 1}"/>',
+            f'<transform {entries} x="{x}" y="{y}" z="{z}"/>',
+            f'<intrinsic focalLengthU="{fx}" focalLengthV="{fy}" centerPointU="{cx}" centerPointV="{cy}" skew="0.0"',
+            f' radialDistortion1="{k1}" radialDistortion2="{k2}" radialDistortion3="{k3}"',
+            f' tangentalDistortion1="{p1}" tangentalDistortion2="{p2}"/></camera>',
+        ]
+    path.write_text("\n".join([*lines, "</cameras></calibration>"]))
+    return path
+
+
+def write_vicon(path: Path, cameras) -> Path:
+    """Vicon's file: the camera's centre in millimetres, a quaternion, no tangential distortion."""
+    lines = ["<?xml version='1.0'?><Cameras VERSION='1.2'>"]
+    for camera in cameras:
+        x, y, z, w = Rotation.from_matrix(camera.rotation).as_quat().tolist()
+        place = " ".join(map(repr, (-1000 * camera.rotation.T @ camera.translation_m).tolist()))
+        (fx, fy), (cx, cy), (k1, k2, _, _, k3) = camera.focal_px, camera.centre_px, camera.distortion
+        lines.append(
+            f'<Camera DEVICEID="{camera.name}" TYPE="Vue" SYSTEM="DV" SENSOR_SIZE="{camera.size_px[0]} {camera.size_px[1]}" '
+            f'PIXEL_ASPECT_RATIO="{fx / fy!r}"><KeyFrames><KeyFrame FRAME="0" FOCAL_LENGTH="{fx}" PRINCIPAL_POINT="{cx} {cy}" '
+            f'ORIENTATION="{x} {y} {z} {w}" POSITION="{place}" VICON_RADIAL2="ViconRadial2 {cx} {cy} {k1} {k2} {k3}"/></KeyFrames></Camera>'
+        )
+    path.write_text("\n".join([*lines, "</Cameras>"]))
+    return path
+
+
+def write_parsec(path: Path, camera) -> Path:
+    """PARSEC's numbers of one camera, one a line."""
+    rows = [camera.focal_px, camera.centre_px, [camera.skew], camera.distortion, camera.rotation.ravel(), 1000 * camera.translation_m]
+    path.write_text("\n".join(repr(value) for row in [*rows, cv2.Rodrigues(camera.rotation)[0].ravel()] for value in np.ravel(row).tolist()))
+    return path
