@@ -15,6 +15,7 @@ from bayes_body.recording.readers.faults import Faults, unnoted
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes, describe_turns, upright
+from bayes_body.recording.readers.rig_plausibility import describe_implausible
 from bayes_body.recording.readers.rig_sizes import OtherSize, check_sizes
 from bayes_body.recording.readers.sources import Series, Source, find_background, find_series, find_source, settled_size
 from bayes_body.recording.readers.truth import read_truth
@@ -154,6 +155,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     session = excerpt(recorded_session, options.first_frame, options.frames)
     turns = describe_turns([recording.camera for recording in filmed])
     remarks = [*describe_changes(options.rig), *turns, *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
+    remarks += describe_implausible([view.camera for view in session.views], rig.calibration)
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from simulated_rigs import LANDSCAPE, NAMES, PORTRAIT, crowd, rig
 
+from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.keypoints import LAYOUTS, read_openpose
 from bayes_body.recording.readers.rig_changes import CHANGES, FLIP, scaled, turned
 from bayes_body.recording.readers.rig_judge import judge
 from bayes_body.recording.readers.triangulate import project
@@ -106,3 +108,11 @@ def test_a_camera_turns_and_grows_with_its_pictures(skew):
     assert turned(camera, 1).size_px == (height, width)
     # The middle of a picture stays its middle.
     np.testing.assert_allclose(project(scaled(camera, (width // 2, height // 2)), points), (pixels + 0.5) / 2 - 0.5, atol=1e-6)
+
+
+def test_the_cameras_around_a_man_on_a_beam_agree(pose2sim_beam):
+    """They are not quite synchronised, and two see another person too."""
+    cameras = [record.spec(record.size_px) for record in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
+    people = zip(*(read_openpose(pose2sim_beam / "pose" / f"{camera.name}_json", range(100)) for camera in cameras), strict=True)
+    verdict = judge(cameras, list(people), LAYOUTS["BODY_25B"])
+    assert (verdict.agreement.has_majority, verdict.agreement.dissenting, verdict.remedies, verdict.causes) == (True, [], [], {})
