@@ -13,6 +13,7 @@ from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.rig_verdict import describe_contradiction
 from bayes_body.recording.readers.video import damaged_frames, probe, readable_frames
 from bayes_body.recording.session.session import Session, View
 
@@ -35,7 +36,7 @@ def check_session(session: Session, frames: int | None = None, decode: bool = Tr
         decode: whether they are. Without it, damage is not noticed, and a video's length is checked only by a look at its last frame.
 
     Returns:
-        Remarks for the user, one sentence each: which frames some cameras did not see.
+        Remarks for the user, one sentence each: which frames some cameras did not see, and whether the keypoints contradict the cameras.
 
     Raises:
         FaultyFileError: one sentence for each camera without any image, and for each file that does not match the session; if all cameras stand in
@@ -67,7 +68,7 @@ def check_session(session: Session, frames: int | None = None, decode: bool = Tr
             with faults.collect():
                 read_camera_path(path, session.skipped + session.frames)
     faults.raise_any()
-    return remarks
+    return [*remarks, *describe_contradiction(session)]
 
 
 def _check_height(session: Session) -> None:

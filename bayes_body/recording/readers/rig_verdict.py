@@ -3,13 +3,19 @@
 import sys
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from bayes_body.base.progress import waiting
+from bayes_body.recording.readers.camera_agreement import common_keypoints
 from bayes_body.recording.readers.keypoint_series import Places
 from bayes_body.recording.readers.person import People
 from bayes_body.recording.readers.rig_judge import Verdict, judge
 from bayes_body.recording.readers.rig_option import AS_GIVEN
 from bayes_body.recording.readers.rig_sentences import contradiction, describe_dissent, rough_agreement
 from bayes_body.recording.session.session import Session, View
+
+# Frames of a session.
+MOST_LOOKED_AT = 50
 
 
 def judge_rig(
@@ -54,3 +60,18 @@ def describe_verdict(views: Sequence[View], people: Sequence[Sequence[People]], 
     agreeing, causes = len(views) - len(contradicting), verdict.causes if verdict else {}
     sentences = [describe_dissent(cameras[c].name, strangers[c], frames, agreeing, causes.get(c)) for c in contradicting]
     return [*sentences, *(rough_agreement(cameras, verdict) if verdict and not verdict.contradicts else [])]
+
+
+def describe_contradiction(session: Session) -> list[str]:
+    """Return a sentence if the keypoints of a session contradict its cameras, as `judge_rig` finds for an import; none if they agree.
+
+    Raises:
+        InputError: a file of keypoints cannot be read.
+    """
+    cameras, names, keypoints = common_keypoints(session)
+    if len(cameras) < 2 or session.moves or not names:
+        return []
+    frames = np.unique(np.linspace(0, session.frames - 1, MOST_LOOKED_AT).astype(int))
+    people = [[row[None] if np.isfinite(row[:, 0]).any() else row[None][:0] for row in keypoints[:, frame]] for frame in frames]
+    verdict = judge(cameras, people, names)
+    return [str(contradiction("session.toml", cameras, verdict))] if verdict and verdict.contradicts else []

@@ -1,6 +1,7 @@
 """The judge of plausibility: whether a body can be on the person at all, and the sentences about it.
 
-A frame is judged by the keypoints if there are any, else by the silhouettes. In any case, a body that no camera can see is off the person.
+A frame is judged by the keypoints if there are any, else by the silhouettes. In any case, a body that no camera can see is off the person, and so is
+one that lies beside the silhouettes of all cameras.
 
 The limits come from the demonstration and the PARSEC recording (four cameras each). The cover of good poses is 0.90 to 0.97 in every camera. For a
 body that is 0.1 m off it is 0.66 to 0.87, median 0.79; for one that is 0.2 m off 0.43 to 0.71, median 0.60; for one at the origin 0.00 to 0.49.
@@ -24,6 +25,8 @@ from bayes_body.results.metrics.fit import Fit, frame_fit, silhouette_shares
 # The body is not on the person if the median over the cameras of the cover is below the first, or that of the distance (as a fraction of the
 # person's size) is above the second.
 LEAST_COVER, MOST_DISTANCE = 0.7, 0.2
+# A body whose cover is below this in every camera lies beside the person, whatever its keypoints say.
+BESIDE = 0.05
 # Shares of an image that a person's silhouette can cover. Outside of them it is empty, or it is the background.
 SILHOUETTE = (1e-4, 0.6)
 # Number of consecutive frames that a warning needs: a single bad silhouette gives no warning.
@@ -38,6 +41,7 @@ class Verdict(NamedTuple):
         overlap: of the same cameras, for a whole body.
         distance: from the keypoints.
         outside: whether the body is outside of all images.
+        beside: whether the body lies beside the silhouettes of all these cameras.
         off: whether the body is not on the person; False where nothing tells.
         blind: whether there are silhouettes, none can be a person's, and nothing else tells.
     """
@@ -46,6 +50,7 @@ class Verdict(NamedTuple):
     overlap: Float[np.ndarray, " run"]
     distance: Float[np.ndarray, " run"]
     outside: Bool[np.ndarray, " run"]
+    beside: Bool[np.ndarray, " run"]
     off: Bool[np.ndarray, " run"]
     blind: bool
 
@@ -56,11 +61,12 @@ def judge(fit: Fit) -> Verdict:
     cover, overlap = (_over_cameras(np.where(usable, values, np.nan)) for values in (fit.cover, fit.overlap))
     overlap, distance = overlap if fit.is_whole else np.full_like(overlap, np.nan), _over_cameras(fit.distance)
     outside = (fit.body == 0).all(axis=-1)
+    beside = usable.any() & ~outside & (~usable | (fit.cover < BESIDE)).all(axis=-1)
     by_keypoints = bool(np.isfinite(distance).any())
     # A comparison with NaN is False: nothing is said where nothing tells.
     off = distance > MOST_DISTANCE if by_keypoints else (cover < LEAST_COVER) | (overlap < LEAST_OVERLAP)
     blind = not by_keypoints and bool(np.isfinite(fit.silhouette).any()) and not usable.any()
-    return Verdict(cover, overlap, distance, outside, off | outside, bool(blind))
+    return Verdict(cover, overlap, distance, outside, beside, off | outside | beside, bool(blind))
 
 
 def can_be_a_person(shares: Float[np.ndarray, " camera"]) -> Bool[np.ndarray, " camera"]:
@@ -155,6 +161,7 @@ def fit_figures(first: Fit, frames: Sequence[Fit], first_frame: int = 0) -> dict
         "overlap_worst_frame": None if least_frame is None else first_frame + least_frame,
         "frames_off": _lasting([verdict.off.any() for verdict in verdicts], first_frame),
         "frames_outside": _lasting([verdict.outside.any() for verdict in verdicts], first_frame),
+        "frames_beside": _lasting([verdict.beside.any() for verdict in verdicts], first_frame),
         "frames_blind": _lasting([verdict.blind for verdict in verdicts], first_frame),
     }
 

@@ -5,11 +5,13 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from bayes_body.initial.fitting.outline import LEAST_OVERLAP
-from bayes_body.results.metrics.plausibility import LEAST_COVER, MOST_DISTANCE, SILHOUETTE
+from bayes_body.results.metrics.plausibility import BESIDE, LEAST_COVER, MOST_DISTANCE, SILHOUETTE
 from bayes_body.results.posterior.mixing_sentences import frame_ranges
 
 # How many times as far from the body a camera's keypoints are as those of the others, and the least share of the diagonal that counts.
 WORSE, LEAST_ERROR = 2.0, 0.01
+# The share of the diagonal above which the keypoints of a camera contradict the body; at least half of the cameras must.
+MOST_ERROR = 0.02
 
 
 class _Wording(NamedTuple):
@@ -48,7 +50,8 @@ def fit_sentences(figures: Mapping[str, Any]) -> list[str]:
         figures: the figures from `first_fit` or `fit_figures`, or a whole summary. A summary from an older version gives fewer warnings.
     """
     wordings = _WORDINGS.get(figures.get("fit_by") or "", ())
-    sentences = [_first(wordings, figures), _describe_lost_frames(wordings, figures), _outside(figures), _blind(figures), _worst_camera(figures)]
+    sentences = [_first(wordings, figures), _describe_lost_frames(wordings, figures), _outside(figures), _beside(figures), _blind(figures)]
+    sentences += [_most_cameras(figures) or _worst_camera(figures)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -66,6 +69,19 @@ def _worst_camera(figures: Mapping[str, Any]) -> str | None:
         f"camera '{worst}' fits worse than the others: its keypoints are {cameras[worst]['px']:.0f} px ({share:.1%} of the image's diagonal) from "
         f"the body, those of the others {usual:.1%} (median): its calibration, its clock or its keypoints may be wrong; look at its pictures, "
         "or remove its [[camera]] from session.toml."
+    )
+
+
+def _most_cameras(figures: Mapping[str, Any]) -> str | None:
+    """A sentence on keypoints that the posterior does not reach in half of the cameras or more."""
+    cameras: Mapping[str, Mapping[str, float]] = figures.get("reprojection_by_camera") or {}
+    far = [name for name, figure in cameras.items() if figure["of_diagonal"] > MOST_ERROR]
+    if not far or 2 * len(far) < len(cameras):
+        return None
+    listed = ", ".join(f"{name} {cameras[name]['px']:.0f} px ({cameras[name]['of_diagonal']:.1%} of the diagonal)" for name in far)
+    return (
+        f"the body is far from the keypoints in {len(far)} of {len(cameras)} cameras: {listed}, limit {MOST_ERROR:.0%}: the calibration, the order "
+        "of the keypoints or the person's size may be wrong; import the recording again and read what it says of the cameras."
     )
 
 
@@ -113,6 +129,16 @@ def _outside(figures: Mapping[str, Any]) -> str | None:
     if not outside:
         return None
     return f"{frame_ranges(outside)}: the body is outside of the image of every camera: only the motion prior determines its pose there."
+
+
+def _beside(figures: Mapping[str, Any]) -> str | None:
+    beside = figures.get("frames_beside") or []
+    if not beside or figures.get("fit_by") != "keypoints":
+        # By the silhouettes, such frames are lost already.
+        return None
+    problem = f"the body lies beside the silhouettes of all cameras (overlap below {BESIDE:g}), although it is fitted to keypoints"
+    remedy = "the keypoints are another person's, or the silhouettes or the calibration are wrong: look at the overlay"
+    return f"{frame_ranges(beside)}: {problem}; {remedy}."
 
 
 def _blind(figures: Mapping[str, Any]) -> str | None:

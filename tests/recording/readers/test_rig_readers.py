@@ -22,6 +22,7 @@ from bayes_body.recording.readers.calibration_opencv import read_opencv
 from bayes_body.recording.readers.calibration_qualisys import read_qualisys
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.calibration_vicon import read_vicon
+from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.parsec_files import read_calibration
@@ -135,3 +136,16 @@ def test_a_calibration_of_larger_pictures_is_scaled_on_request(tmp_path, factor,
     write_toml(source / "Calib.toml", [replace(camera, size_px=(60, 80)) for camera in shown])
     with pytest.raises(InputError, match=r"--rig c1=scaled: pictures of 60 x 100; expected the shape of 60 x 80"):
         import_toml(source, tmp_path, rig={"c1": "scaled"})
+
+
+def test_a_session_whose_cameras_were_changed_is_noticed_before_a_run(tmp_path):
+    cameras = small_rig()
+    source = write_recording(tmp_path / "lab", cameras, crowd(cameras, noise_px=0.2))
+    write_toml(source / "Calib.toml", cameras)
+    session, _ = import_opencv(source, tmp_path / "s", Options("m", "z", fps=30.0, keypoints=source / "pose"))
+    assert check_session(session) == []
+    edited = replace(session, views=tuple(replace(view, camera=CHANGES["opengl"].apply(view.camera)) for view in session.views))
+    (sentence,) = check_session(edited)
+    assert sentence.startswith(
+        "session.toml: the keypoints contradict it: no two of 4 cameras agree on where a person is; the rays of the keypoints meet if"
+    )

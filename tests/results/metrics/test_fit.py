@@ -87,6 +87,29 @@ def test_a_camera_that_fits_worse_than_the_others_is_named():
     assert fit_sentences(figures) == []
 
 
+def test_a_body_beside_all_silhouettes_is_off_whatever_its_keypoints_say():
+    beside, good = _fit(0.0, distance=0.01, overlap=0.0), _fit(0.9, distance=0.01, overlap=0.6)
+    figures = fit_figures(good, [good] * 2 + [beside] * 3) | {"frames": 5}
+    assert (figures["fit_by"], figures["frames_off"], figures["frames_beside"]) == ("keypoints", [2, 3, 4], [2, 3, 4])
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith(
+        "frames 2-4: the body lies beside the silhouettes of all cameras (overlap below 0.05), although it is fitted to keypoints"
+    )
+    # One camera with a silhouette on the body is enough, and silhouettes that cannot be a person's say nothing.
+    one = beside._replace(cover=np.array([[0.0, 0.5]]))
+    empty = beside._replace(silhouette=np.zeros(2))
+    assert fit_sentences(fit_figures(good, [one, empty] * 3) | {"frames": 6}) == []
+
+
+def test_keypoints_that_most_cameras_contradict_are_said():
+    cameras = {"a": 50.0, "b": 31.0, "c": 9.0, "d": 10.0}
+    figures = {"reprojection_by_camera": {name: {"px": px, "of_diagonal": px / 1000} for name, px in cameras.items()}}
+    (sentence,) = fit_sentences(figures)
+    assert sentence.startswith(
+        "the body is far from the keypoints in 2 of 4 cameras: a 50 px (5.0% of the diagonal), b 31 px (3.1% of the diagonal), limit 2%"
+    )
+
+
 def test_a_body_that_no_camera_can_see_is_off_whatever_the_session_has():
     figures = fit_figures(_fit(silhouette=np.nan), [_fit(body=0.0, silhouette=np.nan)] * 3) | {"frames": 3}
     assert figures["fit_by"] is None and figures["frames_off"] == figures["frames_outside"] == [0, 1, 2]
