@@ -31,19 +31,37 @@ def rig(count, size=LANDSCAPE, seed=0) -> list[CameraSpec]:
     return cameras
 
 
-def crowd(cameras, frames=5, noise_px=3.0, seed=0):
-    """The people of each frame and camera: one, who walks."""
+def walk(frames, height_m=1.75) -> np.ndarray:
+    """A person who walks along x, (frame, keypoint, 3) in COCO_17, metres: trunk and head, and arms and legs that swing."""
+    points = {"nose": (0.07, 0.0, 0.92), "l_eye": (0.055, 0.018, 0.935), "l_ear": (0.01, 0.042, 0.925)}
+    points |= {"l_shoulder": (0.0, 0.105, 0.82), "l_hip": (0.0, 0.055, 0.535)}
+    points |= {name.replace("l_", "r_", 1): (x, -y, z) for name, (x, y, z) in points.items() if name.startswith("l_")}
+    phase = 0.7 * np.arange(frames) + 0.4
+    places = {name: np.tile(place, (frames, 1)) for name, place in points.items()}
+    for side, sign in {"l": 1.0, "r": -1.0}.items():
+        # Length as a share of the stature, mean angle and swing from the vertical.
+        for upper, lower, length, mean, swing in (
+            ("shoulder", "elbow", 0.17, 0.0, -0.4),
+            ("elbow", "wrist", 0.148, 0.4, -0.4),
+            ("hip", "knee", 0.245, 0.1, 0.45),
+            ("knee", "ankle", 0.246, -0.35, 0.3),
+        ):
+            angle = mean + sign * swing * np.sin(phase)
+            places[f"{side}_{lower}"] = places[f"{side}_{upper}"] + length * np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=-1)
+    steps = np.stack([0.04 * np.arange(frames) - 0.3, np.zeros(frames), np.zeros(frames)], axis=-1)
+    return height_m * np.stack([places[name] for name in NAMES], axis=1) + steps[:, None]
+
+
+def crowd(cameras, frames=5, noise_px=3.0, seed=0, places=None):
+    """The people of each frame and camera: one who walks, as `places` has it, or by default points of no symmetry that move."""
     rng = np.random.default_rng(seed)
     body = rng.uniform([-0.3, -0.3, 0.0], [0.3, 0.3, 1.75], (len(NAMES), 3))
+    if places is None:
+        places = [body + np.array([0.1 * frame - 0.2, 0.05 * frame, 0.0]) for frame in range(frames)]
     people = []
-    for frame in range(frames):
-        points = body + np.array([0.1 * frame - 0.2, 0.05 * frame, 0.0])
-        people.append(
-            [
-                np.column_stack([project(camera, points) + rng.normal(0, noise_px, (len(NAMES), 2)), np.full(len(NAMES), 0.9)])[None]
-                for camera in cameras
-            ]
-        )
+    for points in places:
+        seen = [project(camera, points) + rng.normal(0, noise_px, (len(NAMES), 2)) for camera in cameras]
+        people.append([np.column_stack([pixels, np.full(len(NAMES), 0.9)])[None] for pixels in seen])
     return people
 
 
