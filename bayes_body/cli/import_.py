@@ -58,8 +58,8 @@ Rig = Annotated[
     typer.Option(
         "--rig",
         metavar="[CAMERA=]CHANGE",
-        help="Change the calibration of a camera, or of all: inverted, centres, opengl, inverted_opengl, turned_90, turned_180, turned_270, "
-        "exchanged_centre, half_size, double_size, scaled, distortion_64, or as_given; may be repeated.",
+        help="Change the calibration of a camera, or of all: inverted, centres, transposed, opengl, inverted_opengl, opengl_centres, turned_90, "
+        "turned_180, turned_270, exchanged_centre, half_size, double_size, scaled, distortion_64, or as_given; may be repeated.",
     ),
 ]
 NoLengths = Annotated[bool, typer.Option("--no-lengths", help="Do not measure the lengths of the limbs on the keypoints of two or more cameras.")]

@@ -7,8 +7,10 @@ With $F = \mathrm{diag}(1, -1, -1)$, which leads from the axes of OpenGL and Ble
 |---|---|---|
 | `inverted` | camera to world | $R^T, -R^T T$ |
 | `centres` | T is the camera's centre | $R, -R T$ |
+| `transposed` | $R^T$, as MATLAB writes it for rows | $R^T, T$ |
 | `opengl` | world to camera, OpenGL's axes | $F R, F T$ |
 | `inverted_opengl` | camera to world, OpenGL's axes (Blender's `matrix_world`) | $F R^T, -F R^T T$ |
+| `opengl_centres` | world to camera, OpenGL's axes, T is the camera's centre | $F R, -F R T$ |
 """
 
 from collections.abc import Callable, Mapping
@@ -59,6 +61,10 @@ def _inverted(camera: CameraSpec) -> CameraSpec:
 
 def _of_centre(camera: CameraSpec) -> CameraSpec:
     return replace(camera, translation_m=-camera.rotation @ camera.translation_m)
+
+
+def _transposed(camera: CameraSpec) -> CameraSpec:
+    return replace(camera, rotation=camera.rotation.T)
 
 
 def _flipped(camera: CameraSpec) -> CameraSpec:
@@ -136,9 +142,13 @@ def _scale(numerator: int, denominator: int, words: str) -> Change:
 POSES: Mapping[str, Change] = {
     "inverted": Change(_inverted, "rotations and translations lead from the camera to the world"),
     "centres": Change(_of_centre, "the translations are the cameras' centres"),
+    "transposed": Change(_transposed, "the rotations are transposed, as MATLAB writes them"),
     "opengl": Change(_flipped, "the cameras have the axes of OpenGL and Blender: y up, the view along -z"),
     "inverted_opengl": Change(
         lambda camera: _flipped(_inverted(camera)), "rotations and translations lead from cameras with the axes of OpenGL and Blender to the world"
+    ),
+    "opengl_centres": Change(
+        lambda camera: _flipped(_of_centre(camera)), "the cameras have the axes of OpenGL and Blender, and the translations are their centres"
     ),
 }
 # Which picture a calibration belongs to. These may concern a single camera.

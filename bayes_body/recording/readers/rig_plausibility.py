@@ -99,8 +99,8 @@ def _describe_view(cameras: Sequence[CameraSpec]) -> list[str]:
     if not lonely:
         return []
     if len(lonely) < len(cameras):
-        seen = "sees no place that another camera sees" if len(lonely) == 1 else "see no place that another camera sees"
-        return [f"{_names(lonely)}: {seen}: check rotation and translation."]
+        view = "sees no place that another camera sees" if len(lonely) == 1 else "see no place that another camera sees"
+        return [f"{_names(lonely)}: {view}: check rotation and translation."]
     changes = [name for name, change in POSES.items() if not _lonely([change.apply(camera) for camera in cameras])]
     options = " or ".join(f"--rig {name} ({POSES[name].meaning})" for name in changes)
     remedy = f"they would with {options}" if changes else "check rotations and translations, X_camera = R X_world + T"

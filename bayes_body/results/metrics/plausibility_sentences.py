@@ -75,13 +75,13 @@ def _worst_camera(figures: Mapping[str, Any]) -> str | None:
 def _most_cameras(figures: Mapping[str, Any]) -> str | None:
     """A sentence on keypoints that the posterior does not reach in half of the cameras or more."""
     cameras: Mapping[str, Mapping[str, float]] = figures.get("reprojection_by_camera") or {}
-    far = [name for name, figure in cameras.items() if figure["of_diagonal"] > MOST_ERROR]
-    if not far or 2 * len(far) < len(cameras):
+    contradicting = [name for name, figure in cameras.items() if figure["of_diagonal"] > MOST_ERROR]
+    if not contradicting or 2 * len(contradicting) < len(cameras):
         return None
-    listed = ", ".join(f"{name} {cameras[name]['px']:.0f} px ({cameras[name]['of_diagonal']:.1%} of the diagonal)" for name in far)
+    listed = ", ".join(f"{name} {cameras[name]['px']:.0f} px ({cameras[name]['of_diagonal']:.1%} of the diagonal)" for name in contradicting)
     return (
-        f"the body is far from the keypoints in {len(far)} of {len(cameras)} cameras: {listed}, limit {MOST_ERROR:.0%}: the calibration, the order "
-        "of the keypoints or the person's size may be wrong; import the recording again and read what it says of the cameras."
+        f"the body is far from the keypoints in {len(contradicting)} of {len(cameras)} cameras: {listed}, limit {MOST_ERROR:.0%}: the "
+        "calibration, the order of the keypoints or the person's size may be wrong; import the recording again and read what it says of the cameras."
     )
 
 
