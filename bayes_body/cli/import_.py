@@ -83,7 +83,7 @@ LABORATORIES = {
         "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
         "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
         # It has the body's measures.
-        omitted_options=("unit", "up", "no_lengths", "rig"),
+        omitted_options=("unit", "up", "no_lengths"),
     ),
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.assemble import align, saved, source_folder, with_options, written
+from bayes_body.recording.readers.calibration import Calibrated
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import read_grey, read_mask
@@ -18,6 +19,7 @@ from bayes_body.recording.readers.imported_keypoints import with_imported_keypoi
 from bayes_body.recording.readers.options import Options, check_fps, check_height
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.parsec_subject import POSITIONS, read_subject
+from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes
 from bayes_body.recording.session.session import Session, View
 
 IMAGE = "image%04d.bmp"
@@ -158,6 +160,8 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
     if recorded is None or subject_files is None:
         faults.raise_any()
         raise AssertionError("a reader neither returned nor raised")
+    check_changes(options.rig, [view.camera.name for view in recorded.views])
+    recorded = recorded._replace(views=tuple(_changed(view, options.rig) for view in recorded.views))
     timing = align({view.camera.name: (recorded.first_frame, recorded.frames) for view in recorded.views}, options.offsets)
     recorded_session = Session(
         folder=folder.resolve(),
@@ -174,9 +178,16 @@ def import_parsec(source: Path, folder: Path, options: Options | None = None) ->
     )
     session = excerpt(recorded_session, options.first_frame, options.frames)
     session, keypoint_remarks = with_imported_keypoints(with_options(session, options), options)
-    remarks = [*recorded.remarks, *subject_files.remarks, *timing.remarks, *_left_out(recorded_session, session)]
+    remarks = [*describe_changes(options.rig), *recorded.remarks, *subject_files.remarks, *timing.remarks, *_left_out(recorded_session, session)]
     remarks += [*([] if options.fps else [_fps_remark()]), *keypoint_remarks]
     return saved(session), [remark for remark in remarks if not (options.masks and remark == REMARK_NO_MASKS)]
+
+
+def _changed(view: View, changes: Changes) -> View:
+    """Return the view with the changes of the calibration that the user asks for."""
+    size_px = view.camera.size_px
+    # The format does not state the size of its pictures.
+    return replace(view, camera=changed(Calibrated.from_spec(view.camera)._replace(size_px=None), changes, size_px).spec(size_px))
 
 
 def _left_out(recording: Session, session: Session) -> list[str]:

@@ -14,6 +14,7 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
+from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import make_folder, write_text
 from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers import calibration_opencv, calibration_qualisys, calibration_vicon
@@ -38,19 +39,24 @@ def rewrite_calibration(source: Path, folder: Path, imported: Sequence[CameraSpe
         current: the same cameras now.
 
     Raises:
-        InputError: the calibration cannot be read, or the copy cannot be written.
+        InputError: the calibration cannot be read, its lenses were changed on import and it is no TOML, or the copy cannot be written.
     """
     target, cameras = make_folder(folder) / source.name, {camera.name: camera for camera in current}
     changed = {new.name for old, new in zip(imported, current, strict=True) if (old.focal_px, old.centre_px) != (new.focal_px, new.centre_px)}
     if source.is_dir() and list(source.glob(PARSEC)):
         _parsec(source, target, cameras)
     elif source.is_dir():
-        calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibration_opencv.read_opencv(source, 1.0), imported))
+        calibrated = calibration_opencv.read_opencv(source, 1.0)
+        _check_lenses(source, calibrated, imported)
+        calibration_opencv.rewrite_opencv(source, target, cameras, _unit_m(calibrated, imported))
     elif source.suffix == ".toml":
-        _toml(source, target, cameras, changed, _unit_m(read_calibration_toml(source), imported))
+        calibrated = read_calibration_toml(source)
+        _toml(source, target, cameras, changed | _with_other_lens(calibrated, imported), _unit_m(calibrated, imported))
     elif source.suffix == ".xcp":
+        _check_lenses(source, calibration_vicon.read_vicon(source), imported)
         _vicon(source, target, cameras, changed)
     else:
+        _check_lenses(source, calibration_qualisys.read_qualisys(source), imported)
         _qualisys(source, target, cameras, changed)
     return target
 
@@ -60,6 +66,22 @@ def _unit_m(calibrated: Sequence[Calibrated], imported: Sequence[CameraSpec]) ->
     places = {camera.name: camera.translation_m for camera in imported}
     pairs = [(camera.translation_m, places[camera.name]) for camera in calibrated if camera.name in places]
     return min(METRES.values(), key=lambda unit_m: sum(float(np.linalg.norm(unit_m * file_t - session_t)) for file_t, session_t in pairs))
+
+
+def _with_other_lens(calibrated: Sequence[Calibrated], imported: Sequence[CameraSpec]) -> set[str]:
+    """Return the names of the cameras whose lens was changed on import: their pictures were turned or scaled, or the file was wrong."""
+    lenses = {camera.name: _lens(camera) for camera in imported}
+    return {camera.name for camera in calibrated if camera.name in lenses and not np.allclose(_lens(camera), lenses[camera.name], rtol=1e-6)}
+
+
+def _lens(camera: Calibrated | CameraSpec) -> list[float]:
+    return [*camera.focal_px, *camera.centre_px, *camera.distortion]
+
+
+def _check_lenses(source: Path, calibrated: Sequence[Calibrated], imported: Sequence[CameraSpec]) -> None:
+    if names := _with_other_lens(calibrated, imported):
+        problem = f"the lens of {', '.join(sorted(names))} was changed on import (--rig)"
+        raise input_error(source, problem, "the lens of the file", "use the new session, or correct the file and import it again")
 
 
 def _matrix(camera: CameraSpec) -> list[list[float]]:
@@ -81,8 +103,11 @@ def _toml(source: Path, target: Path, cameras: Cameras, changed: set[str], unit_
         is_matrix = np.size(table.get("rotation", ())) == 9
         table["rotation"] = np.asarray(camera.rotation, float).tolist() if is_matrix else _vector(camera)
         table["translation"] = (np.asarray(camera.translation_m, float) / unit_m).tolist()
+        # The session's camera is that of the pictures, also if they were turned or scaled against the calibration.
+        if "rotation_count" in table:
+            table["rotation_count"] = 0
         if camera.name in changed:
-            table["matrix"] = _matrix(camera)
+            table["matrix"], table["size"], table["distortions"] = _matrix(camera), list(camera.size_px), list(camera.distortion)
     write_text(target, tomlkit.dumps(document))
 
 

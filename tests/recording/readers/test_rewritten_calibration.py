@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
+from simulated_rigs import rig, write_qualisys, write_toml
 
+from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.calibration_opencv import read_opencv
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.calibration_vicon import read_vicon
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
+from bayes_body.recording.readers.rig_changes import turned
 from bayes_body.recording.session.session import CameraSpec
 
 K = np.array([[900.0, 0, 480], [0, 920, 320], [0, 0, 1]])
@@ -111,3 +115,16 @@ def test_vicons_xcp(tmp_path):
     source.write_text(f"<Cameras>{''.join(listed)}</Cameras>")
     close(read_vicon(source), BEFORE)
     close(read_vicon(rewrite_calibration(source, tmp_path / "new", BEFORE, NEW)), NEW)
+
+
+def test_lenses_that_were_changed_on_import(tmp_path):
+    cameras = rig(2)
+    shown = [turned(camera, 1) for camera in cameras]
+    source = write_toml(tmp_path / "array.toml", cameras, "rotation_count = 1", nested=True)
+    path = rewrite_calibration(source, tmp_path / "new", shown, shown)
+    written = read_calibration_toml(path)
+    close(written, shown)
+    # It is that of the turned pictures, and is not turned again.
+    assert [(camera.size_px, camera.quarter_turns) for camera in written] == [((720, 1280), 0)] * 2
+    with pytest.raises(InputError, match=r"room.qca.txt: the lens of c0, c1 was changed on import"):
+        rewrite_calibration(write_qualisys(tmp_path / "room.qca.txt", cameras), tmp_path / "new", shown, shown)
