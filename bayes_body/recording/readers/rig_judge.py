@@ -31,6 +31,8 @@ from bayes_body.recording.session.session import CameraSpec
 MOST_FRAMES, FEWEST_FRAMES, MOST_PAIRS = 6, 2, 200
 # Changes are tried on the first of them.
 TRIED_FRAMES = 3
+# With a change, the mean error of three cameras or more must be below this; that of two, below ROUGH.
+WELL = 0.05
 # Cameras agree only roughly if their mean error is above this, as a fraction of the person's size in the image.
 ROUGH = 0.03
 # An explanation of a camera's error is believed if at most this share of the error is left.
@@ -175,7 +177,7 @@ def _remedies(cameras: Sequence[CameraSpec], agreement: Agreement, causes: Mappi
     better = []
     for proposal in proposals:
         trial = _trial(cameras, agreement.people, proposal)
-        is_well = trial.has_majority and not (agreement.has_majority and trial.dissenting) and not (is_pair and trial.error > ROUGH)
+        is_well = trial.has_majority and not (agreement.has_majority and trial.dissenting) and trial.error <= (ROUGH if is_pair else WELL)
         if trial.share > agreement.share and is_well:
             better.append((-trial.share, trial.error, proposal))
     better.sort(key=lambda entry: entry[:2])

@@ -119,5 +119,9 @@ def test_the_cameras_around_a_man_on_a_beam_agree(pose2sim_beam):
     """They are not quite synchronised, and two see another person too."""
     cameras = [record.spec(record.size_px) for record in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
     people = zip(*(read_openpose(pose2sim_beam / "pose" / f"{camera.name}_json", range(100)) for camera in cameras), strict=True)
-    verdict = judge(cameras, list(people), LAYOUTS["BODY_25B"])
-    assert (verdict.agreement.has_majority, verdict.agreement.dissenting, verdict.remedies, verdict.causes) == (True, [], [], {})
+    people, names = list(people), LAYOUTS["BODY_25B"]
+    for chosen in ((0, 1, 2, 3), (0, 2), (1, 3), (0, 2, 3)):
+        verdict = judge([cameras[c] for c in chosen], [[frame[c] for c in chosen] for frame in people], names)
+        assert (verdict.agreement.has_majority, verdict.agreement.dissenting, verdict.remedies, verdict.causes) == (True, [], [], {})
+    for change in ("opengl", "transposed"):
+        assert judge([CHANGES[change].apply(camera) for camera in cameras], people, names).remedies == [{"": change}]
