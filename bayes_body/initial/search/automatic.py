@@ -75,7 +75,8 @@ def nobody_first(session: Session) -> str | None:
     except InputError as error:
         return f"It is not known whether somebody is in frame {first}: {error}"
     if later_index is None:
-        return f"Nobody is detected in frame {first}, nor in {LOOKED_AT} s after it: check the silhouettes, or give keypoints."
+        remedy = "check the silhouettes and the calibration (turned pictures, other axes), or give keypoints"
+        return f"Nobody is detected in frame {first}, nor in {LOOKED_AT} s after it: {remedy}."
     remedy = f"import again with --first-frame {session.frame_number(later_index)} --overwrite, or give the same option to `bayes-body track`"
     return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later_index)}: {remedy}."
 

@@ -155,7 +155,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     session = excerpt(recorded_session, options.first_frame, options.frames)
     turns = describe_turns([recording.camera for recording in filmed])
     remarks = [*describe_changes(options.rig), *turns, *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
-    remarks += describe_implausible([view.camera for view in session.views], rig.calibration)
+    remarks += describe_implausible([view.camera for view in session.views], rig.calibration, rig.up)
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.recording.readers.options import Axis
 from bayes_body.recording.readers.rig_changes import CHANGES, POSES, SUBPIXELS
 from bayes_body.recording.readers.triangulate import project, undistorted_rays
 from bayes_body.recording.session.session import CameraSpec
@@ -18,6 +19,8 @@ from bayes_body.recording.session.session import CameraSpec
 GRID = 9
 FARTHEST_M, FARTHEST = 10.0, 1.5
 DEPTHS = np.geomspace(0.01, 1.0, 40)
+# Changes with which the cameras would see one.
+MOST_LISTED = 2
 # A principal point is odd if it is farther from the middle than this share of the diagonal, and explained if a change leaves this share of that.
 CENTRAL, EXPLAINED = 0.08, 0.25
 CENTRES = ("exchanged_centre", "half_size", "double_size")
@@ -29,14 +32,15 @@ TANGENTIAL, TIMES = 0.01, 10.0
 DIVIDED = np.array([0.006, 0.01, 1e-4, 1e-4])
 
 
-def describe_implausible(cameras: Sequence[CameraSpec], calibration: Path) -> list[str]:
+def describe_implausible(cameras: Sequence[CameraSpec], calibration: Path, up: Axis = "z") -> list[str]:
     """Return sentences on what is odd in a rig; none for a good one.
 
     Args:
         cameras: of the rig.
         calibration: its file or folder.
+        up: the axis of the world that points up.
     """
-    return [*_describe_centres(cameras), *_describe_lenses(cameras), *_describe_divided(cameras, calibration), *_describe_view(cameras)]
+    return [*_describe_centres(cameras), *_describe_lenses(cameras), *_describe_divided(cameras, calibration), *_describe_view(cameras, up)]
 
 
 def _names(cameras: Sequence[CameraSpec]) -> str:
@@ -94,15 +98,18 @@ def _describe_divided(cameras: Sequence[CameraSpec], calibration: Path) -> list[
     return [f"{calibration.name}: {problem}: {reason}; if this file was made so, give the *.qca.txt instead, or --rig distortion_64."]
 
 
-def _describe_view(cameras: Sequence[CameraSpec]) -> list[str]:
+def _describe_view(cameras: Sequence[CameraSpec], up: Axis) -> list[str]:
     lonely = _lonely(cameras) if len(cameras) > 1 else []
     if not lonely:
         return []
     if len(lonely) < len(cameras):
         view = "sees no place that another camera sees" if len(lonely) == 1 else "see no place that another camera sees"
         return [f"{_names(lonely)}: {view}: check rotation and translation."]
-    changes = [name for name, change in POSES.items() if not _lonely([change.apply(camera) for camera in cameras])]
-    options = " or ".join(f"--rig {name} ({POSES[name].meaning})" for name in changes)
+    rigs = {name: [change.apply(camera) for camera in cameras] for name, change in POSES.items()}
+    changes = [name for name, rig in rigs.items() if not _lonely(rig)]
+    # Most cameras stand upright: their y points down.
+    changes.sort(key=lambda name: sum(camera.rotation[1, "xyz".index(up)] > 0 for camera in rigs[name]))
+    options = " or ".join(f"--rig {name} ({POSES[name].meaning})" for name in changes[:MOST_LISTED])
     remedy = f"they would with {options}" if changes else "check rotations and translations, X_camera = R X_world + T"
     return [f"No two cameras see a common place: {remedy}."]
 
