@@ -170,3 +170,22 @@ def test_good_recordings_get_no_sentence(tmp_path, seed):
     session, remarks = import_opencv(source, tmp_path / "s", Options("m", "z", fps=30.0, keypoints=source / "pose"))
     assert [remark for remark in remarks if not remark.startswith(USUAL)] == []
     assert check_session(session) == []
+
+
+def test_among_several_people_no_majority_need_see_the_same_one(tmp_path):
+    cameras = small_rig()
+    people = [crowd(cameras, noise_px=0.2, places=walk(6) + np.array(place)) for place in ([0.0, 0.0, 0.0], [0.9, 1.0, 0.0], [-0.8, 0.9, 0.0])]
+    # Cameras c2 and c3 see one other person each.
+    shown = [[first[0], first[1], second[2], third[3]] for first, second, third in zip(*people, strict=True)]
+    single = write_recording(tmp_path / "single", cameras, shown)
+    write_toml(single / "Calib.toml", cameras)
+    with pytest.raises(
+        InputError, match=r"2 of 4 cameras agree on where a person is; expected more than half of the cameras to agree; .*--rig as_given"
+    ):
+        import_toml(single, tmp_path)
+    # In one picture somebody else is seen too: whom the others see is open.
+    shown = [[*frame[:3], np.concatenate([frame[3], second[3]])] for frame, second in zip(shown, people[1], strict=True)]
+    several = write_recording(tmp_path / "several", cameras, shown)
+    write_toml(several / "Calib.toml", cameras)
+    _, remarks = import_toml(several, tmp_path)
+    assert any("keypoints contradict the other" in remark for remark in remarks)
