@@ -20,9 +20,11 @@ def figures_text(summary: Mapping[str, Any]) -> str:
     fitted = f"overlap with the silhouettes (IoU) {shown('iou_median', '.3f')}; " if shows_overlap(summary) else ""
     if shows_reprojection(summary):
         fitted = f"reprojection error of the keypoints {shown('reprojection_px_median', '.1f', ' px')} (median); {fitted}"
-    cameras = summary["cameras"]
+    cameras = f"{summary['cameras']} camera{'s' if summary['cameras'] > 1 else ''}"
+    off = len(summary.get("frames_off") or [])
+    beside_person = f", off the person {off}" if off else ""
     lines = [
-        f"frames      {summary['frames']}, lost {summary['frames_lost']}; {cameras} camera{'s' if cameras > 1 else ''}, {summary['dof']} dofs",
+        f"frames      {summary['frames']}, lost {summary['frames_lost']}{beside_person}; {cameras}, {summary['dof']} dofs",
         f"time        {shown('seconds_per_frame', '.3f', ' s')} a frame; compilation {shown('seconds_compile', '.1f', ' s')}; "
         f"{shown('evaluations_per_second', ',.0f')} evaluations/s; {shown('peak_memory_mb', ',.0f', ' MB')}",
         f"particles   effective {shown('ess_median', '.0f')} (median), {shown('ess_min', '.0f')} (minimum) of {summary['particles']}",

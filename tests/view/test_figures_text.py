@@ -17,6 +17,8 @@ def test_figures_have_units_and_what_does_not_exist_is_a_dash():
     assert time == "time        0.250 s a frame; compilation 3.0 s; 10,000 evaluations/s; 900 MB"
     assert particles == "particles   effective 100 (median), 40 (minimum) of 500"
     assert agreement == "agreement   overlap with the silhouettes (IoU) -; R-hat over runs at most 1.23; mean markers of the runs - apart"
+    # The filter does not know whether it is on the person: the judge does.
+    assert figures_text(SUMMARY | {"frames_off": [3, 4, 5]}).splitlines()[0] == "frames      5, lost 1, off the person 3; 2 cameras, 31 dofs"
     # As an older version wrote it.
     assert figures_text(SUMMARY).splitlines() == [frames, time, particles, agreement]
 
