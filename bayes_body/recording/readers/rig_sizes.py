@@ -61,7 +61,7 @@ def _describe(sizes: Mapping[str, OtherSize], proposals: list[dict[str, str]], b
     more = f" (and {len(sizes) - 1} more)" if len(sizes) > 1 else ""
     owners = f"camera{'s' if len(sizes) > 1 else ''} {', '.join(map(repr, sizes))}"
     expected = f"{calibrated_width} x {calibrated_height}, as in its calibration"
-    return input_error(owners, f"{first.name}{more} has {width} x {height} pixels", expected, _remedy(first, proposals, best))
+    return input_error(owners, f"{first.name}{more} {'have' if more else 'has'} {width} x {height} pixels", expected, _remedy(first, proposals, best))
 
 
 def _remedy(sizes: OtherSize, proposals: list[dict[str, str]], best: dict[str, str] | None) -> str:
