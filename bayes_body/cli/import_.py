@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -63,6 +64,7 @@ Rig = Annotated[
     ),
 ]
 NoLengths = Annotated[bool, typer.Option("--no-lengths", help="Do not measure the lengths of the limbs on the keypoints of two or more cameras.")]
+Resample = Annotated[bool, typer.Option("--resample", help="Pair the frames of videos of different rates by time, at the slowest rate.")]
 Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.")]
 Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.")]
 
@@ -83,7 +85,7 @@ LABORATORIES = {
         "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
         "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
         # It has the body's measures.
-        omitted_options=("unit", "up", "no_lengths"),
+        omitted_options=("unit", "up", "no_lengths", "resample"),
     ),
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",
@@ -131,6 +133,7 @@ def _import(
     up: Up = None,
     no_lengths: NoLengths = False,
     rig: Rig = None,
+    resample: Resample = False,
 ) -> None:
     """Import a recording, print the remarks, and draw the picture for checking the session."""
     from bayes_body.base.config import configure
@@ -143,6 +146,7 @@ def _import(
     options = Options(
         unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths, starts, _changes(rig)
     )
+    options = replace(options, resample=resample, progress=sys.stderr.isatty())
     if (session / FILE_NAME).exists() and not overwrite:
         raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:

@@ -14,7 +14,7 @@ from cv2.typing import MatLike
 from jaxtyping import UInt8
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.images import NotSeenError, read_grey
+from bayes_body.recording.readers.images import NotSeenError, not_seen, read_grey
 from bayes_body.recording.readers.images import read_colour as read_colour_image
 from bayes_body.recording.readers.video import has_video_frame, read_video_frame
 from bayes_body.recording.session.session import Session, View
@@ -65,7 +65,10 @@ def has_picture(session: Session, index: int, view: View) -> bool:
     """
     check_index(session, index)
     path = session.video_path(view)
-    return _image_path(session, index, view).is_file() if path is None else has_video_frame(path, session.number(view, index))
+    if path is None:
+        return _image_path(session, index, view).is_file()
+    number = session.file_number(view, index)
+    return number is not None and has_video_frame(path, number)
 
 
 def check_index(session: Session, index: int) -> None:
@@ -79,8 +82,13 @@ def check_index(session: Session, index: int) -> None:
 
 
 def _read_video(session: Session, index: int, view: View) -> Colours | None:
-    path = session.video_path(view)
-    return None if path is None else read_video_frame(path, session.number(view, index), view.camera.size_px)
+    path, number = session.video_path(view), session.file_number(view, index)
+    if path is None:
+        return None
+    if number is None:
+        problem, remedy = f"no frame at instant {session.number(view, index)}", "correct the camera's spans in session.toml, or import it again"
+        raise not_seen(path, problem, "a frame at this time", remedy)
+    return read_video_frame(path, number, view.camera.size_px)
 
 
 def _image_path(session: Session, index: int, view: View) -> Path:

@@ -68,7 +68,7 @@ def background_of(session: Session, view: View) -> Background:
 
 def _key(session: Session, view: View) -> Hashable:
     """Everything that a background depends on."""
-    source, recorded_session = (view.images, view.video, view.background, view.offset, view.camera.size_px), session.recorded_session
+    source, recorded_session = (view.images, view.video, view.background, view.offset, view.spans, view.camera.size_px), session.recorded_session
     return (
         str(session.folder),
         recorded_session.first_frame,

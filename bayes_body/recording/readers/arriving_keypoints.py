@@ -188,7 +188,7 @@ class ArrivingKeypoints:
     def _arrived(self, people: Mapping[int, People], appeared_s: float) -> ArrivedFrame:
         nobody = np.zeros((0, 0, 3))
         groups = [visible_people(people.get(c, nobody)) for c in range(len(self._views))]
-        places = self._follower.follow(groups)
+        (places,) = self._follower.follow([groups])
         sources = zip(self._views, groups, places, strict=True)
         rows = np.stack([subject_row(view.camera, group, place, len(self._names)) for view, group, place in sources])
         return ArrivedFrame(rows, tuple(c in people for c in range(len(self._views))), appeared_s)
@@ -223,6 +223,9 @@ def _sources(session: Session, folder: Path) -> tuple[list[View], list[ArrivingF
     for view in views:
         if view.camera.name not in folders:
             raise input_error(f"--live {folder}", f"no folder of camera '{view.camera.name}'", expected, "check the path and the folders' names")
+        if view.spans:
+            problem = f"camera '{view.camera.name}' has `spans`: frames that were lost are known only of a finished video"
+            raise input_error(f"--live {folder}", problem, "a camera whose frame k is file k + offset", "track without --live")
     return views, [ArrivingFolder(folders[view.camera.name]) for view in views]
 
 

@@ -3,7 +3,7 @@
 The cameras' frames are aligned: cameras may start at different times, number their frames differently and record different numbers of frames.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +12,7 @@ from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.calibration import Calibrated, check_rig
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.frame_pairing import SAME_RATE, Paired, pair_frames
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes, describe_turns, upright
@@ -21,9 +22,6 @@ from bayes_body.recording.readers.sources import Series, Source, find_background
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Session, Subject, View
-
-# Two videos with the same rate; their containers round it differently.
-SAME_RATE = 5e-4
 
 
 class Timing(NamedTuple):
@@ -35,12 +33,13 @@ class Timing(NamedTuple):
     remarks: list[str]
 
 
-def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int]) -> Timing:
+def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int], incomplete: Collection[str] = ()) -> Timing:
     """The frames that all cameras have.
 
     Args:
         counts: each camera's first frame number and number of frames.
         offsets: how many frames a camera is ahead, for some of the cameras. The session starts where the last camera starts.
+        incomplete: cameras that lack some of their frames.
 
     Raises:
         FaultyFileError: an offset for an unknown camera, or no frame that all cameras have.
@@ -62,46 +61,17 @@ def align(counts: Mapping[str, tuple[int, int]], offsets: Mapping[str, int]) -> 
         )
     starts = {name: first + skipped[name] for name, (first, _) in counts.items()}
     first_frame = min(starts.values())
-    return Timing(frames, first_frame, {name: start - first_frame for name, start in starts.items()}, _remarks(remaining, frames, latest))
+    return Timing(frames, first_frame, {name: start - first_frame for name, start in starts.items()}, _remarks(remaining, frames, latest, incomplete))
 
 
-def _remarks(remaining: Mapping[str, int], frames: int, latest: int) -> list[str]:
+def _remarks(remaining: Mapping[str, int], frames: int, latest: int, incomplete: Collection[str]) -> list[str]:
     remarks = []
     if latest:
         remarks.append(f"The session starts {latest} frames into the recording, where the camera with the smallest offset does.")
     if max(remaining.values()) > frames:
-        listed = ", ".join(f"{name} {count}" for name, count in remaining.items())
+        listed = ", ".join(f"{name} {count}{' with those that it lacks' if name in incomplete else ''}" for name, count in remaining.items())
         remarks.append(f"Cameras have different numbers of frames ({listed}): the session has the {frames} that all have.")
     return remarks
-
-
-def frame_rate(rates: Mapping[str, float], user_rate: float | None) -> tuple[float, list[str]]:
-    """The session's frame rate (frames per second), and remarks.
-
-    Args:
-        rates: each camera's rate, 0 if its recording does not state it.
-        user_rate: the user's rate; overrides the videos' rates.
-
-    Raises:
-        InputError: no rate is known, or the cameras differ.
-    """
-    stated_rates = {name: rate for name, rate in rates.items() if rate > 0}
-    if user_rate is not None:
-        overridden = [f"{name} {rate:g}" for name, rate in stated_rates.items() if abs(rate - user_rate) > SAME_RATE * user_rate]
-        return user_rate, [f"--fps {user_rate:g} overrides the videos' rates ({', '.join(overridden)})."] if overridden else []
-    if not stated_rates:
-        raise input_error(
-            "--fps",
-            "not given, and no recording states its frame rate",
-            "frames per second",
-            "give the rate at which the cameras filmed, such as --fps 60",
-        )
-    slowest, fastest = min(stated_rates.values()), max(stated_rates.values())
-    if fastest - slowest > SAME_RATE * fastest:
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in stated_rates.items())
-        raise input_error("frame rate", f"cameras differ: {listed}", "one rate", "convert the videos to one rate, or give the true one with --fps")
-    # Containers round the rate, so the mean is nearer to the truth than any single camera's.
-    return round(sum(stated_rates.values()) / len(stated_rates), 6), []
 
 
 # Recordings are in one of these folders of a project, or in the project's folder itself.
@@ -145,16 +115,19 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     check_changes(options.rig, [camera.name for camera in rig.cameras])
     filmed = _filmed(rig, options.rig)
     check_rig(rig.calibration, [recording.camera for recording in filmed])
+    clocks = {recording.camera.name: recording.source.clock for recording in filmed if recording.source.clock is not None}
+    paired = pair_frames(clocks, options.fps, options.resample, options.offsets)
     counts = {recording.camera.name: (recording.source.first, recording.source.count) for recording in filmed}
-    timing = align(counts, options.offsets)
-    fps, remarks = frame_rate({recording.camera.name: recording.source.fps for recording in filmed}, options.fps)
-    views = tuple(_view(recording, folder, timing.offsets[recording.camera.name], fps) for recording in filmed)
+    incomplete = {name for name, runs in paired.spans.items() if sum(run.frames for run in runs) < paired.counts[name]}
+    timing = align(counts | {name: (0, count) for name, count in paired.counts.items()}, options.offsets, incomplete)
+    views = tuple(_view(recording, folder, timing.offsets[recording.camera.name], paired) for recording in filmed)
     subject = Subject(height_m=options.height_m)
     calibration = written(rig.calibration, folder)
-    recorded_session = Session(folder, title, rig.up, fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
+    recorded_session = Session(folder, title, rig.up, paired.fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
     session = excerpt(recorded_session, options.first_frame, options.frames)
     turns = describe_turns([recording.camera for recording in filmed])
-    remarks = [*describe_changes(options.rig), *turns, *(recording.remark for recording in filmed if recording.remark), *timing.remarks, *remarks]
+    sizes = [recording.remark for recording in filmed if recording.remark]
+    remarks = [*describe_changes(options.rig), *turns, *sizes, *paired.remarks, *timing.remarks]
     remarks += describe_implausible([view.camera for view in session.views], rig.calibration, rig.up)
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
 
@@ -185,12 +158,12 @@ def _filmed(rig: Rig, changes: Changes) -> list[Filmed]:
     return filmed
 
 
-def _view(filmed: Filmed, folder: Path, offset: int, fps: float) -> View:
-    camera, source = filmed.camera.spec(filmed.source.size_px), filmed.source
+def _view(filmed: Filmed, folder: Path, offset: int, paired: Paired) -> View:
+    camera, source, fps = filmed.camera.spec(filmed.source.size_px), filmed.source, paired.fps
     if source.series is None:
-        # Only --fps overrides a video's rate. The session keeps both, since another rate would mean another video.
+        # --fps and --resample override a video's rate. The session keeps both, since another rate would mean another video.
         stated = source.fps if abs(source.fps - fps) > SAME_RATE * fps and source.fps > 0 else None
-        return View(camera, video=written(source.path, folder), offset=offset, video_fps=stated)
+        return View(camera, video=written(source.path, folder), offset=offset, video_fps=stated, spans=paired.spans.get(camera.name, ()))
     return View(camera, images=_pattern(source.series, folder), offset=offset)
 
 
@@ -230,8 +203,10 @@ def _with_pictures(session: Session, view: View, options: Options) -> View:
     name, size = view.camera.name, view.camera.size_px
     if options.masks is not None:
         series = find_series(options.masks / name)
-        first = session.number(view, 0)
-        last = first + session.frames - 1
+        numbers = [number for frame in range(session.frames) if (number := session.file_number(view, frame)) is not None]
+        if not numbers:
+            raise input_error(f"camera '{name}'", "no frame in the session", "at least one", "choose other frames with --first-frame and --frames")
+        first, last = numbers[0], numbers[-1]
         if series.first > first or series.first + series.count <= last:
             problem = f"numbers {series.first} to {series.first + series.count - 1}"
             remedy = "number the masks like the camera's frames; frames of a video count from 0"

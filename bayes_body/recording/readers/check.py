@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.assemble import SAME_RATE
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.frame_pairing import NEAR_RATE, SAME_RATE
 from bayes_body.recording.readers.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
 from bayes_body.recording.readers.keypoint_series import read_series
 from bayes_body.recording.readers.rig_verdict import describe_contradiction
-from bayes_body.recording.readers.video import damaged_frames, probe, readable_frames
+from bayes_body.recording.readers.video import damaged_frames, probe, read_clock, readable_frames
 from bayes_body.recording.session.session import Session, View
 
 MOST_RANGES = 20
-# Relative difference up to which two rates are mistaken for each other, as 59.94 and 60 are.
-NEAR_RATE = 0.01
 BLIND = "the camera counts as not seeing the person there"
 # A newborn child is longer.
 SHORTEST_M = 0.4
@@ -55,8 +53,8 @@ def check_session(session: Session, frames: int | None = None, decode: bool = Tr
         for kind, read in (("images", read_grey), ("masks", read_mask)):
             if (pattern := getattr(view, kind)) is not None:
                 # Strings: a session of a million frames would need minutes to make so many `Path`.
-                paths = (os.path.join(session.folder, pattern % session.number(view, k)) for k in range(session.frames))  # noqa: PTH118
-                files = enumerate(paths, session.first_frame)
+                numbers = ((session.frame_number(k), session.file_number(view, k)) for k in range(session.frames))
+                files = ((frame, os.path.join(session.folder, pattern % number)) for frame, number in numbers if number is not None)  # noqa: PTH118
                 remarks += _check_series(faults, owner, kind, files, lambda path, read=read, view=view: read(path, view.camera.size_px))
         with faults.collect():
             _check_background(session, view)
@@ -126,25 +124,40 @@ def _check_video(session: Session, view: View, owner: str, used: int) -> list[st
         return []
     info = probe(path)
     check_size(path, info.size_px, view.camera.size_px)
-    remarks = _check_rate(path, info.fps, session.fps, view)
-    first = session.number(view, 0)
-    readable = max(0, readable_frames(path, first + session.frames) - first)
-    damaged = [number - view.offset for number in damaged_frames(path, range(first, first + min(readable, used)))]
-    if readable == 0:
-        problem = f"{path} has {readable_frames(path, first + 1)} frames"
-        raise input_error(
-            owner, problem, f"more than {first}, the number of the first", "correct first_frame and the camera's offset in session.toml"
-        )
-    if damaged and len(damaged) == min(readable, used):
+    remarks = [*_check_rate(path, info.fps, session.fps, view), *_check_gaps(path, view)]
+    # The number of each frame in the file, by the number that the user knows.
+    numbers = {session.frame_number(frame): number for frame in range(session.frames) if (number := session.file_number(view, frame)) is not None}
+    end = readable_frames(path, max(numbers.values(), default=0) + 1)
+    readable = {frame: number for frame, number in numbers.items() if number < end}
+    if not readable:
+        first = min(numbers.values(), default=session.number(view, 0))
+        problem, remedy = f"{path} has {readable_frames(path, first + 1)} frames", "correct first_frame and the camera's offset in session.toml"
+        raise input_error(owner, problem, f"more than {first}, the number of the first", remedy)
+    decoded = {number: frame for frame, number in readable.items() if frame < session.frame_number(used)}
+    damaged = [decoded[number] for number in damaged_frames(path, list(decoded))]
+    if damaged and len(damaged) == len(decoded):
         raise input_error(owner, f"{path}: every frame is damaged", "a video that can be decoded without errors", "copy the video again")
     if damaged:
         problem = f"{len(damaged)} of {session.frames} frames cannot be decoded without errors ({named(damaged)}), {path} is damaged"
         remarks.append(f"{owner}: {problem}: {BLIND}; copy the video again.")
-    if readable < session.frames:
-        missing = range(session.frame_number(readable), session.frame_number(session.frames))
+    lost = [frame for frame in range(session.frame_number(0), session.frame_number(session.frames)) if frame not in numbers]
+    if lost:
+        remarks.append(f"{owner}: {_share(len(lost), session.frames, 'frames')} ({named(lost)}), {path} has none at their times: {BLIND}.")
+    if len(readable) < len(numbers):
+        missing = [frame for frame in numbers if frame not in readable]
         problem = f"{_share(len(missing), session.frames, 'frames')} ({named(missing)}), {path} ends before them"
         remarks.append(f"{owner}: {problem}: {BLIND}; copy the video again, or correct first_frame and frames in session.toml.")
     return remarks
+
+
+def _check_gaps(path: Path, view: View) -> list[str]:
+    """A remark on a video that lost frames, in a session that counts them as if it had not."""
+    steps = np.diff(read_clock(path).instants)
+    if view.spans or not (steps > 1).any():
+        return []
+    gap = int(np.argmax(steps > 1))
+    problem = f"its timestamps show that {int((steps[steps > 1] - 1).sum())} frames were lost, the first after frame {gap}"
+    return [f"{path}: {problem}, and session.toml counts the later ones as if it had none: import the recording again, which pairs frames by time."]
 
 
 def _check_rate(path: Path, stated: float, fps: float, view: View) -> list[str]:

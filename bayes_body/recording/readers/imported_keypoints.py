@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.base.errors import InputError, input_error
+from bayes_body.base.progress import watched
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
 from bayes_body.recording.readers.keypoints import Layout, Tally, choose_layout, describe_tallies, keypoint_files, read_openpose, read_people
@@ -53,7 +54,7 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
         )
     if not folders:
         return session, files.remarks(names)
-    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first, options.rig)
+    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first, options.rig, options.progress)
     session, measures = with_measured_lengths(session) if options.measures_lengths else (session, [])
     return session, [*files.remarks(names), *remarks, *measures]
 
@@ -64,6 +65,7 @@ def with_keypoints(
     layout: str | None = None,
     starts: Mapping[str, int] | None = None,
     rig: Mapping[str, str] | None = None,
+    progress: bool = False,
 ) -> tuple[Session, list[str]]:
     """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
 
@@ -73,6 +75,7 @@ def with_keypoints(
         layout: the order of the keypoints; None: infer it from the data.
         starts: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame, if it is another one.
         rig: the changes of the calibration that the user asks for.
+        progress: whether bars on standard error show how many frames are done.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
@@ -80,14 +83,14 @@ def with_keypoints(
     """
     views = [view for view in session.views if view.camera.name in folders]
     tracks = {name: read_track(path) for name, path in folders.items() if path.is_file()}
-    people, remarks = _read(session, views, folders, tracks, starts or {})
+    people, remarks = _read(session, views, folders, tracks, starts or {}, progress)
     somebody = [group for frame in people for group in frame if len(group)]
     if not somebody:
         return session, ["The keypoint files contain no people: the session has no keypoints."]
     order = _order(folders, tracks, [*somebody, *_sample(views, folders)], layout)
     people, order = _of_body(people, order)
     verdict = judge_rig(session, views, people, order.keypoints, rig or {})
-    places = follow_person([view.camera for view in views], people)
+    places = follow_person([view.camera for view in views], people, watched("following the person", progress))
     first = {
         view.camera.name: _named(view.camera, among[place], order)
         for view, among, place in zip(views, people[0], places[0], strict=True)
@@ -103,7 +106,7 @@ def with_keypoints(
 
 
 def _read(
-    session: Session, views: Sequence[View], folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], starts: Mapping[str, int]
+    session: Session, views: Sequence[View], folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], starts: Mapping[str, int], progress: bool
 ) -> tuple[list[list[People]], list[str]]:
     """The people of each frame in each camera, and remarks on frames without a file and on what was strange."""
     faults, cameras, remarks, nobody, tallies = Faults(), [], list[str](), np.zeros((0, 0, 3)), dict[str, Tally]()
@@ -111,26 +114,36 @@ def _read(
         with faults.collect():
             name = view.camera.name
             path, track, tally = folders[name], tracks.get(name), tallies.setdefault(name, Tally())
-            recorded_first = session.number(view, 0) - session.skipped
-            first = session.number(view, 0) + starts.get(name, starts.get("", recorded_first)) - recorded_first
+            expected = _numbers(session, view, starts.get(name, starts.get("")))
+            filmed = [number for number in expected if number is not None]
+            first = filmed[0] if filmed else session.number(view, 0)
             files = track.people if track else keypoint_files(path)
-            numbers = [number for number in range(first, first + session.frames) if number in files]
-            if not numbers or (first < min(files) and len(files) >= session.frames and not session.recorded):
+            numbers = [number for number in filmed if number in files]
+            if filmed and (not numbers or (first < min(files) and len(files) >= session.frames and not session.recorded)):
                 raise _other_numbers(name, path, list(files), first, session.frames)
             if track:
                 series, tally.largest = track.people, track.unclipped or 0.0
             else:
-                series = dict(zip(numbers, read_openpose(path, numbers, tally), strict=True))
-            cameras.append([visible_people(series.get(first + frame, nobody)) for frame in range(session.frames)])
-            if len(numbers) < session.frames:
+                series = dict(zip(numbers, read_openpose(path, numbers, tally, watched(f"reading keypoints of {name}", progress)), strict=True))
+            cameras.append([nobody if number is None else visible_people(series.get(number, nobody)) for number in expected])
+            if len(numbers) < len(filmed):
                 absence = f"are not in {path.name}" if track else f"have no file in {path}"
-                lost = f"{session.frames - len(numbers)} of {session.frames} frames {absence}"
+                lost = f"{len(filmed) - len(numbers)} of {len(filmed)} frames {absence}"
                 remarks.append(f"camera '{name}': {lost}: its keypoints are missing there.")
     faults.raise_any()
     remarks += describe_tallies(tallies)
     if programs := sorted({track.program for track in tracks.values()}):
         remarks.append(f"Keypoints are read from files of {' and '.join(programs)}.")
     return [list(frame) for frame in zip(*cameras, strict=True)], remarks
+
+
+def _numbers(session: Session, view: View, start: int | None) -> list[int | None]:
+    """The number of the camera's keypoints in each frame: that of the frame in its files, counted from `start` if given; None if it has no frame."""
+    recording = session.recorded_session
+    numbers = (recording.file_number(view, frame) for frame in range(recording.frames))
+    shift = 0 if start is None else start - next((number for number in numbers if number is not None), 0)
+    filmed = (session.file_number(view, frame) for frame in range(session.frames))
+    return [None if number is None else number + shift for number in filmed]
 
 
 def _order(folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], people: Sequence[People], layout: str | None) -> Layout:

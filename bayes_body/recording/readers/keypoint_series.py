@@ -9,11 +9,12 @@ The keypoints are in an .npz beside a session, with
 `choose_person` finds the subject in the first frame. From then on, the subject in a camera is the person nearest to the projection of the previous
 frame's body (with one camera: to the subject's place in the previous frame), if the distance is within a fifth of the person's size. Cameras that do
 not agree with the body of this frame are dropped. If fewer than two cameras remain (with one camera: if no person is near), `choose_person` is called
-again. If that fails too, the people who were near are used.
+again. If that fails too, the people who were near are used. Frames in which every camera sees at most one person, and all clearly the same, are
+decided many at a time (`lone_person`).
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +26,10 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, replacing
+from bayes_body.base.progress import Watch, unwatched
 from bayes_body.recording.readers.keypoints import FARTHEST_PX, MOST_KEYPOINTS
-from bayes_body.recording.readers.person import FEWEST, SAME, People, choose_person
+from bayes_body.recording.readers.lone_person import lone_bodies
+from bayes_body.recording.readers.person import FEWEST, NEAR, SAME, People, choose_person
 from bayes_body.recording.readers.triangulate import reprojection_errors, triangulate
 from bayes_body.recording.session.session import CameraSpec
 
@@ -120,8 +123,7 @@ def _first(path: Path, first: NDArray[np.generic]) -> int:
     return int(first.ravel()[0])
 
 
-# Limit on the median distance to the projection of the previous body, as a fraction of the person's size in the image.
-NEAR = 0.2
+FRAMES_AT_ONCE = 200
 
 # With several cameras: the body's keypoints in the world, metres. With one camera: its keypoints in the image.
 type Body = Float[np.ndarray, "keypoint _"]
@@ -129,7 +131,7 @@ type Places = tuple[int | None, ...]
 
 
 class PersonFollower:
-    """Follow the subject frame by frame, as frames come; it remembers the body of the previous frame.
+    """Follow the subject frame by frame, as frames come; it remembers the people and the body of the previous frame.
 
     Args:
         cameras: calibrated.
@@ -137,14 +139,25 @@ class PersonFollower:
 
     def __init__(self, cameras: Sequence[CameraSpec]):
         self._cameras = cameras
+        self._previous_people: Sequence[Sequence[People]] = ()
         self._previous_body: Body | None = None
 
-    def follow(self, people: Sequence[People]) -> Places:
-        """The subject's index in each camera's list of people in the next frame; None where the subject is not visible.
+    def follow(self, frames: Sequence[Sequence[People]]) -> list[Places]:
+        """For the next frames: the subject's index in each camera's list of people; None where the subject is not visible.
 
         Args:
-            people: for each camera, column, row (pixels; NaN where not visible) and confidence.
+            frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
         """
+        bodies = lone_bodies(self._cameras, [*self._previous_people, *frames])[len(self._previous_people) :]
+        self._previous_people = frames[-1:]
+        return [self._choose(people) if body is None else self._take(people, body) for people, body in zip(frames, bodies, strict=True)]
+
+    def _take(self, people: Sequence[People], body: Body) -> Places:
+        """The only person of each camera."""
+        self._previous_body = body
+        return tuple(0 if len(among) else None for among in people)
+
+    def _choose(self, people: Sequence[People]) -> Places:
         cameras, previous_body = self._cameras, self._previous_body
         nearest_people = tuple(_nearest(camera, among, previous_body) for camera, among in zip(cameras, people, strict=True))
         # Triangulation takes most of the time of a frame: if the nearest people are the subject, their body is not computed again.
@@ -157,10 +170,18 @@ class PersonFollower:
         return subject
 
 
-def follow_person(cameras: Sequence[CameraSpec], frames: Iterable[Sequence[People]]) -> list[Places]:
-    """The subject's index in each camera's list of people, for each frame in order (`PersonFollower`)."""
-    follower = PersonFollower(cameras)
-    return [follower.follow(people) for people in frames]
+def follow_person(cameras: Sequence[CameraSpec], frames: Sequence[Sequence[People]], watch: Watch = unwatched) -> list[Places]:
+    """The subject's index in each camera's list of people, for each frame in order (`PersonFollower`).
+
+    Args:
+        cameras: calibrated.
+        frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
+        watch: shows how many batches of frames are done.
+    """
+    follower, places = PersonFollower(cameras), list[Places]()
+    for start in watch(range(0, len(frames), FRAMES_AT_ONCE)):
+        places += follower.follow(frames[start : start + FRAMES_AT_ONCE])
+    return places
 
 
 def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, body: Body | None) -> Places | None:

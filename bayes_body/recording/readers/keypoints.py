@@ -10,10 +10,13 @@ elbows.
 """
 
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
+from types import NoneType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +24,7 @@ from jaxtyping import Float
 
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.files.read import parse_json, read_text
+from bayes_body.base.progress import Watch, unwatched
 from bayes_body.recording.readers.faults import Faults
 
 KIND = "keypoints as OpenPose writes them, {people: [{pose_keypoints_2d: [x, y, confidence, ...]}]}"
@@ -32,6 +36,8 @@ PER_CENT = 20.0
 MOST_KEYPOINTS = 500
 # Far outside any image; a larger coordinate is damage.
 FARTHEST_PX = 1e6
+# A number above this does not fit a float.
+TOO_LARGE = 1e300
 
 
 @dataclass
@@ -83,7 +89,7 @@ def read_people(path: Path, tally: Tally | None = None) -> Float[np.ndarray, "pe
     placed = np.isfinite(points[..., :2]).all(axis=-1)
     if (np.abs(points[placed][:, :2]) > FARTHEST_PX).any():
         raise input_error(path, "a keypoint far outside any image", "pixels", "restore the file")
-    confidence = np.nan_to_num(points[..., 2])
+    confidence = np.where(np.isnan(points[..., 2]), 0.0, points[..., 2])
     if tally is not None:
         tally.unplaced += int((~placed & (confidence > 0)).sum())
         tally.largest = max(tally.largest, float(confidence.max(initial=0.0)))
@@ -106,10 +112,12 @@ def _row(path: Path, number: int, person: Any) -> list[float]:
     if not isinstance(numbers, list) or not numbers or len(numbers) % 3 or len(numbers) > 3 * MOST_KEYPOINTS:
         problem = f"{len(numbers)} numbers" if isinstance(numbers, list) else "none"
         raise input_error(f"{path}: person {number}: pose_keypoints_2d", problem, "x, y, confidence of each keypoint in a row", "restore the file")
-    # This excludes true, false, and numbers too large for a float.
-    if not all(value is None or (type(value) in (int, float) and not abs(value) > 1e300) for value in numbers):
+    # This excludes true and false.
+    kinds = set(map(type, numbers))
+    values = [math.nan if value is None else value for value in numbers] if NoneType in kinds else numbers
+    if not kinds <= {int, float, NoneType} or any(map(TOO_LARGE.__lt__, map(abs, values))):
         raise input_error(f"{path}: person {number}: pose_keypoints_2d", "an entry that is not a number", "numbers", "restore the file")
-    return [math.nan if value is None else float(value) for value in numbers]
+    return list(map(float, values))
 
 
 def keypoint_files(folder: Path) -> dict[int, Path]:
@@ -118,11 +126,12 @@ def keypoint_files(folder: Path) -> dict[int, Path]:
     Raises:
         InputError: no such folder, no numbered json files in it, or two files with the same number.
     """
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json") if folder.is_dir() else []
-    numbered = [(int(match[1][:18]), path) for path in paths if (match := NUMBER.search(path.name))]
+    # Names, not paths: a long recording has tens of thousands.
+    names = sorted(name for name in os.listdir(folder) if name.lower().endswith(".json")) if folder.is_dir() else []  # noqa: PTH208
+    numbered = [(int(match[1][:18]), folder / name) for name in names if (match := NUMBER.search(name))]
     if not numbered:
         raise input_error(folder, "no numbered json files in it", "one file per frame, such as cam01.0000.json", "name the folder that holds them")
-    files = dict(sorted(numbered))
+    files = dict(sorted(numbered, key=itemgetter(0)))
     if len(files) < len(numbered):
         raise input_error(
             folder, f"{len(numbered)} files with {len(files)} different numbers", "one file per frame", "keep the files of only one recording in it"
@@ -130,13 +139,16 @@ def keypoint_files(folder: Path) -> dict[int, Path]:
     return files
 
 
-def read_openpose(folder: Path, frames: Sequence[int], tally: Tally | None = None) -> Float[np.ndarray, "frame person keypoint 3"]:
+def read_openpose(
+    folder: Path, frames: Sequence[int], tally: Tally | None = None, watch: Watch = unwatched
+) -> Float[np.ndarray, "frame person keypoint 3"]:
     """The keypoints of one camera, frame by frame: column, row (pixels) and confidence, from 0 to 1.
 
     Args:
         folder: one file per frame, with the frame number at the end of its name.
         frames: the numbers of the frames to read.
         tally: counts what was strange.
+        watch: shows how many frames are read.
 
     Returns:
         The person axis is as long as the fullest frame needs. A missing person, like a keypoint that was not found, is NaN, NaN, 0. People keep the
@@ -152,7 +164,7 @@ def read_openpose(folder: Path, frames: Sequence[int], tally: Tally | None = Non
         problem = f"{len(missing)} of {len(frames)} frames have no file, the first is {missing[0]}"
         raise input_error(folder, problem, f"a file for each frame; there are {min(files)} to {max(files)}", "restore them, or read other frames")
     faults, people = Faults(), []
-    for number in frames:
+    for number in watch(frames):
         with faults.collect():
             people.append(read_people(files[number], tally))
     faults.raise_any()

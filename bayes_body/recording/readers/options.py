@@ -32,6 +32,8 @@ class Options:
         first_frame: number of the first frame that is imported, as in the file names; in a video they count from 0.
         frames: number of frames that are imported; all from the first one on by default.
         measures_lengths: whether the lengths of the limbs are measured on the keypoints of two or more cameras.
+        progress: whether bars on standard error show what takes long.
+        resample: whether videos of different rates are paired by time, at the slowest rate.
         keypoints_first: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame.
         rig: the change of a camera's calibration, or of all cameras' under an empty name (`rig_option.NAMES`).
     """
@@ -51,6 +53,8 @@ class Options:
     measures_lengths: bool = True
     keypoints_first: Mapping[str, int] = field(default_factory=dict)
     rig: Mapping[str, str] = field(default_factory=dict)
+    resample: bool = False
+    progress: bool = False
 
 
 def check_height(height_m: float | None) -> None:

@@ -17,6 +17,8 @@ from bayes_body.recording.session.session import CameraSpec
 
 # Limit on the median distance between a person and a body's projection, as a fraction of the person's size in the image.
 SAME = 0.1
+# The same for the projection of the previous frame's body.
+NEAR = 0.2
 # In a crowd, all pairs would take minutes, and the subject is unlikely to be only the seventh by size.
 MOST_PROPOSERS = 6
 # With fewer common keypoints a comparison is meaningless.

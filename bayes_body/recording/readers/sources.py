@@ -10,7 +10,8 @@ from pathlib import Path
 
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.images import read_grey
-from bayes_body.recording.readers.video import probe
+from bayes_body.recording.readers.video import probe, read_clock
+from bayes_body.recording.readers.video_clock import VideoClock
 
 SUFFIXES = (".bmp", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 NAME = re.compile(r"(.*?)(\d{1,18})(\.[^.]+)")
@@ -78,6 +79,7 @@ class Source:
         fps: frames per second, or 0 if unknown.
         first: the number of its first frame; 0 for a video.
         count: number of frames.
+        clock: when a video's frames were filmed; None for images.
     """
 
     path: Path
@@ -86,6 +88,7 @@ class Source:
     fps: float
     first: int
     count: int
+    clock: VideoClock | None = None
 
 
 def find_source(folders: Sequence[Path], name: str) -> Source:
@@ -132,7 +135,7 @@ def _source(path: Path) -> Source:
         height, width = read_grey(series.path(series.first)).shape
         return Source(path, series, (width, height), 0.0, series.first, series.count)
     info = probe(path)
-    return Source(path, None, info.size_px, info.fps, 0, info.frames)
+    return Source(path, None, info.size_px, info.fps, 0, info.frames, read_clock(path))
 
 
 def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:

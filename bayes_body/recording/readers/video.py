@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.read import NoSuchFileError, open_regular
 from bayes_body.recording.readers.images import check_size, not_seen
+from bayes_body.recording.readers.video_clock import VideoClock, video_clock
 from bayes_body.recording.readers.video_stream import DROPPED, LARGEST_BYTES, Outcome, VideoStream, open_video, picture_of
 
 # Within this many frames, decode instead of seeking, since a seek starts at a key frame, often a hundred frames before its target.
@@ -35,8 +36,9 @@ class VideoInfo(NamedTuple):
 
     Attributes:
         size_px: (width, height), upright as displayed.
-        fps: frames per second; 0 if the file does not state it.
-        frames: the number of frames in the container's header, or the number that can be decoded if the header has none.
+        fps: frames per second by the timestamps (`video_clock`); 0 if the file does not tell it.
+        frames: the number of frames in the container's header, less those that players do not show, or the number that can be decoded if the header
+            has none.
     """
 
     size_px: tuple[int, int]
@@ -45,7 +47,7 @@ class VideoInfo(NamedTuple):
 
 
 def probe(path: Path) -> VideoInfo:
-    """Size, rate and length of a video. Its first frame is decoded.
+    """Size, rate and length of a video. Its first frame is decoded, and all timestamps are read.
 
     Raises:
         InputError: missing, not a video that FFmpeg can read, or without frames.
@@ -56,7 +58,17 @@ def probe(path: Path) -> VideoInfo:
             raise input_error(
                 path, "a video without a frame that can be decoded", "at least one", "copy the file again, or convert it to mp4 (H.264)"
             )
-        return VideoInfo((image.shape[1], image.shape[0]), reader.fps, reader.stated_frames or reader.count())
+        clock = read_clock(path)
+        return VideoInfo((image.shape[1], image.shape[0]), clock.fps, len(clock.times_s) or reader.count())
+
+
+def read_clock(path: Path) -> VideoClock:
+    """When the frames of a video were filmed, by its timestamps. No picture is decoded; the clocks of the last videos stay in memory.
+
+    Raises:
+        InputError: missing, not a video, or timestamps that span more than a million frames.
+    """
+    return video_clock(path, _state(path))
 
 
 def read_video_frame(path: Path, number: int, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:
@@ -135,7 +147,7 @@ class _Reader:
         self.lock = threading.Lock()
         self._path = path
         self._stream, self._options = open_video(path)
-        self.fps, self.stated_frames = self._stream.fps, self._stream.stated_frames
+        self.stated_frames = self._stream.stated_frames
         self._times: list[int | None] = []
         self._damaged: list[bool] = []
         # Whether all frames are decoded; how many there are, where those after a dropped one cannot be numbered.

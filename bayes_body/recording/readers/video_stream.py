@@ -10,6 +10,7 @@ from typing import NamedTuple
 import av
 import numpy as np
 from av.error import FFmpegError
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
@@ -42,6 +43,24 @@ class Outcome(NamedTuple):
     def without_picture(self) -> "Outcome":
         """The same, with the memory of its picture given back."""
         return self._replace(frame=None)
+
+
+class Stamps(NamedTuple):
+    """What a video's file says about time.
+
+    Attributes:
+        times_s: the times of presentation of its frames, seconds, ascending; empty if it has none.
+        unit_s: their resolution, seconds.
+        fps: frames per second by the header; 0 if it does not state them.
+        average_fps: frames over duration by the header; 0 if it does not state them.
+        frames: the number of frames by the header, less those that are not presented; at least as many as there are times.
+    """
+
+    times_s: Float[np.ndarray, " frame"]
+    unit_s: float
+    fps: float
+    average_fps: float
+    frames: int
 
 
 DROPPED = Outcome(None, False, False, None, dropped=True)
@@ -109,6 +128,24 @@ class VideoStream:
         self.outcomes = self._decoded()
         return True
 
+    def stamps(self) -> Stamps:
+        """The times of presentation, by a pass over the packets. The stream is at its end afterwards."""
+        shown, hidden = list[int | None](), 0
+        try:
+            for packet in self._container.demux(self._stream):
+                # An edit list hides packets that only serve to decode others. The last packet, and a frame that repeats the one before, are empty.
+                if packet.size and packet.is_discard:
+                    hidden += 1
+                elif packet.size:
+                    shown.append(packet.pts if packet.pts is not None else packet.dts)
+        except FFmpegError:
+            # The container is damaged from here on.
+            pass
+        unit, average_fps = float(self._stream.time_base or 0), float(self._stream.average_rate or 0)
+        times = [] if None in shown else sorted(time for time in shown if time is not None)
+        frames = max(len(shown), self.stated_frames - hidden)
+        return Stamps(unit * np.array(times, float), unit, self.fps, average_fps, frames)
+
     def close(self) -> None:
         """Close the file."""
         self._container.close()
@@ -141,6 +178,19 @@ def open_video(path: Path) -> tuple[VideoStream, dict[str, str]]:
     stream.close()
     options = USUAL if first.frame is None else STRICT
     return VideoStream(path, options), options
+
+
+def read_stamps(path: Path) -> Stamps:
+    """What a video's file says about time. No picture is decoded.
+
+    Raises:
+        InputError: not a video that can be read.
+    """
+    stream = VideoStream(path, USUAL)
+    try:
+        return stream.stamps()
+    finally:
+        stream.close()
 
 
 def picture_of(frame: av.VideoFrame) -> NDArray[np.uint8]:

@@ -17,7 +17,7 @@ from bayes_body.base.files.atomic import write_text
 from bayes_body.base.files.read import check_native
 from bayes_body.base.toml.read import read_toml, validate
 from bayes_body.recording.session.schema import CameraTable, SessionFile, SubjectTable, to_radians
-from bayes_body.recording.session.session import CameraSpec, CameraUncertainty, Segmentation, Session, Subject, View
+from bayes_body.recording.session.session import CameraSpec, CameraUncertainty, Segmentation, Session, Span, Subject, View
 
 # Decimals of converted values (degrees, metres): finer than any measurement, so that reading and writing again changes nothing.
 DECIMALS = 9
@@ -152,6 +152,9 @@ def _camera_table(view: View) -> Table:
         _add(table, "keypoints", view.keypoints, "an .npz with the subject's keypoints in each frame")
     if view.offset:
         _add(table, "offset", view.offset, "the session's frame k is this camera's frame k + offset")
+    if view.spans:
+        comment = "[instant, frame, count] of each run of the video's frames on the camera's clock, which k + offset counts; elsewhere it has none"
+        _add(table, "spans", [list(span) for span in view.spans], comment)
     _add_uncertainty(table, view.uncertainty)
     return table
 
@@ -245,7 +248,7 @@ def _view(table: CameraTable) -> View:
         turn_sd = x, y, z
     uncertainty = CameraUncertainty(turn_sd, table.move_sd_m, table.focal_sd, table.centre_sd_px, table.delay_s, table.delay_sd_s)
     sources = (table.images, table.masks, table.video, table.background, table.offset, table.keypoints, table.path, table.video_fps)
-    return View(camera, *sources, uncertainty)
+    return View(camera, *sources, uncertainty, tuple(Span(*row) for row in table.spans))
 
 
 def _subject(table: SubjectTable) -> Subject:

@@ -4,6 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
@@ -85,6 +86,8 @@ Turn = Annotated[Positive, Field(le=WIDEST_DEG)]
 Delay = Annotated[Finite, Field(ge=-LONGEST_S, le=LONGEST_S)]
 Length = Annotated[Positive, _metres(LONGEST_M)]
 Pattern = Annotated[Name, AfterValidator(_pattern)]
+Number = Annotated[int, Field(strict=True, ge=0, le=LARGEST_NUMBER)]
+SpanRow = tuple[Number, Number, Annotated[Count, Field(le=MOST_FRAMES)]]
 type Row = tuple[Finite, Finite, Finite]
 type Rows = tuple[Row, Row, Row]
 Rotation = Annotated[Rows, AfterValidator(_rotation)]
@@ -109,12 +112,23 @@ class CameraTable(Schema):
     offset: Annotated[int, Field(strict=True, ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)] = 0
     keypoints: FilePath | None = None
     path: FilePath | None = None
+    spans: tuple[SpanRow, ...] = ()
     turn_sd_deg: tuple[Turn, Turn, Turn] | None = None
     move_sd_m: tuple[Length, Length, Length] | None = None
     focal_sd: ProperShare | None = None
     centre_sd_px: tuple[Positive, Positive] | None = None
     delay_s: Delay = 0.0
     delay_sd_s: Annotated[Positive, Field(le=LONGEST_S)] | None = None
+
+    @model_validator(mode="after")
+    def _check_spans(self) -> "CameraTable":
+        if self.spans and self.video is None:
+            raise ValueError("spans: a camera without a video; expected the runs of a video's frames; remove spans")
+        for (instant, frame, count), following in pairwise(self.spans):
+            if following[0] < instant + count or following[1] < frame + count:
+                problem = f"[{instant}, {frame}, {count}] reaches into {list(following)}"
+                raise ValueError(f"spans: {problem}; expected [instant, frame, count], ascending; import the videos again")
+        return self
 
     @model_validator(mode="after")
     def _check_lens(self) -> "CameraTable":

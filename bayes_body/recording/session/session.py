@@ -8,10 +8,11 @@ $r$ the distance from the optical axis at unit depth.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +72,20 @@ class CameraUncertainty:
     delay_sd_s: float | None = None
 
 
+class Span(NamedTuple):
+    """Successive frames of a video at successive instants of its camera's clock.
+
+    Attributes:
+        instant: the first instant.
+        frame: the number of its frame in the video.
+        frames: their number.
+    """
+
+    instant: int
+    frame: int
+    frames: int
+
+
 @dataclass(frozen=True)
 class View:
     """What one camera recorded: either image files or a video. Relative paths start at the session's folder.
@@ -81,11 +96,13 @@ class View:
         video: path of its video.
         masks: printf pattern of its silhouettes; None: they are computed from the background.
         background: path of an image or a video of the empty scene; None: the background is learned from the recording.
-        offset: the session's frame k is this camera's frame k + offset.
+        offset: the session's frame k is this camera's frame k + offset; with `spans`, its instant k + offset.
         keypoints: path of an .npz with the subject's keypoints in each frame; None if there are none.
         path: path of an .npz with a moving camera's extrinsics in each frame (`camera` holds those of frame 0); None if the camera stands still.
         video_fps: the rate that the video's container states, if it is not the session's: a slow-motion video is played at another rate than filmed.
         uncertainty: how well the calibration and the clock are known.
+        spans: where the video's frames are on the camera's clock, ascending: (first instant, first frame, number of frames) of each run of them. At
+            other instants the camera has no frame. (): frame k is at instant k.
     """
 
     camera: CameraSpec
@@ -98,6 +115,7 @@ class View:
     path: str | None = None
     video_fps: float | None = None
     uncertainty: CameraUncertainty = CameraUncertainty()
+    spans: tuple[Span, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -212,16 +230,26 @@ class Session:
         return self.first_frame + frame
 
     def number(self, view: View, frame: int) -> int:
-        """The number of a frame (counted from 0) in this camera's image names, or in its video."""
+        """The number of a frame (counted from 0) in this camera's image names, or the instant on its video's clock."""
         return self.first_frame + frame + view.offset
+
+    def file_number(self, view: View, frame: int) -> int | None:
+        """The number of a frame (counted from 0) in this camera's image names, or in its video; None if the video has none at its instant."""
+        instant = self.number(view, frame)
+        if not view.spans:
+            return instant
+        span = view.spans[max(bisect_right(view.spans, instant, key=lambda run: run.instant) - 1, 0)]
+        row = instant - span.instant
+        return span.frame + row if 0 <= row < span.frames else None
 
     def image_path(self, view: View, frame: int) -> Path | None:
         """The image file of a frame; None if the camera has a video."""
         return None if view.images is None else self.folder / (view.images % self.number(view, frame))
 
     def mask_path(self, view: View, frame: int) -> Path | None:
-        """The silhouette file of a frame; None if the session has no masks."""
-        return None if view.masks is None else self.folder / (view.masks % self.number(view, frame))
+        """The silhouette file of a frame; None if the session has no masks, or the camera no frame."""
+        number = self.file_number(view, frame)
+        return None if view.masks is None or number is None else self.folder / (view.masks % number)
 
     def video_path(self, view: View) -> Path | None:
         """The camera's video; None if it has image files."""

@@ -12,6 +12,7 @@ from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.readers import arriving_keypoints as arriving
 from bayes_body.recording.session.read import FILE_NAME, load_session, save_session
+from bayes_body.recording.session.session import Span
 
 # Seconds: longer than any test, so that no outcome depends on the clock.
 ENDLESS_S = 1e4
@@ -110,6 +111,9 @@ def test_what_cannot_be_keypoints_of_the_session_is_refused(estimator, tmp_path)
     path.unlink()
     with pytest.raises(InputError, match="its cameras have no keypoints; expected keypoints in one order; import the recording when"):
         arriving.ArrivingKeypoints(replace(session, views=tuple(replace(view, keypoints=None) for view in session.views)), estimator.folder, 1.0)
+    paired = tuple(replace(view, spans=(Span(0, 0, 4), Span(6, 4, 9))) for view in session.views)
+    with pytest.raises(InputError, match=r"camera 'a' has `spans`: .*; expected a camera whose frame k is file k"):
+        arriving.ArrivingKeypoints(replace(session, views=paired), estimator.folder, 1.0)
     (estimator.folder / "b_json").rename(estimator.folder / "c_json")
     with pytest.raises(InputError, match="no folder of camera 'b'; expected a folder CAMERA_json"):
         read(estimator, 1)

@@ -8,6 +8,7 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files import arrays_file
+from bayes_body.recording.readers import keypoint_series
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, follow_person, read_series, write_series
 from bayes_body.recording.readers.keypoints import LAYOUTS
 from bayes_body.recording.session.session import CameraSpec
@@ -168,6 +169,29 @@ def test_nobody_for_a_while():
     found = follow_person(rig, alone)
     assert found[:3] == [(None, None)] * 3 and found[12:18] == [(None, None)] * 6
     assert found[3:12] == [(0, 0)] * 9 and found[18:] == [(0, 0)] * 6
+
+
+def test_many_frames_at_once_are_followed_as_single_ones(monkeypatch):
+    rig, rng, nobody = cameras(4), np.random.default_rng(3), np.zeros((0, 17, 3))
+    people, places = crossing(rig, frames=60, size=1.0)
+    for k, (frame, chosen) in enumerate(zip(people, places, strict=True)):
+        if not 20 <= k < 25:
+            people[k] = [among[[place]] for among, place in zip(frame, chosen, strict=True)]
+        for among in people[k]:
+            # Some keypoints are elsewhere, and one in ten is not found.
+            among[rng.random(among.shape[:2]) < 0.02, :2] += 200
+            among[rng.random(among.shape[:2]) < 0.1] = np.nan
+    people[10][2] = people[41][0] = nobody
+    people[50][1] = people[50][1] + np.array([150.0, 0, 0])
+    decided = [body is not None for body in keypoint_series.lone_bodies(rig, people)]
+    # Not the first, nor those with two people or with a person elsewhere, nor the frames after these.
+    assert [k for k, lone in enumerate(decided) if not lone] == [0, *range(20, 26), 50, 51]
+    at_once = follow_person(rig, people)
+    assert at_once[10][2] is None and at_once[50][1] is None and at_once[20:25] == places[20:25]
+    one_by_one = keypoint_series.PersonFollower(rig)
+    assert [one_by_one.follow([frame])[0] for frame in people] == at_once
+    monkeypatch.setattr(keypoint_series, "lone_bodies", lambda cameras, frames: [None] * len(frames))
+    assert follow_person(rig, people) == at_once
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +11,8 @@ from bayes_body.recording.readers.pose_files import tables, whole_video
 from bayes_body.recording.readers.pose_files.pose_track import PoseTrack
 
 SUFFIXES = (".json", ".csv", ".h5", ".hdf5")
+# A folder with more files has one for each frame.
+MOST_FILES = 4
 
 
 class PoseFiles(NamedTuple):
@@ -68,9 +71,9 @@ def whole_file(folder: Path) -> Path | None:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield files that may hold a whole video. A folder with a file for each frame has many."""
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
-    yield from sorted(paths) if len(paths) <= 4 else ()
+    """Yield files that may hold a whole video."""
+    paths = list(islice((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()), MOST_FILES + 1))
+    yield from sorted(paths) if len(paths) <= MOST_FILES else ()
 
 
 def program_of(path: Path) -> str | None:
