@@ -9,6 +9,7 @@ import numpy as np
 
 from bayes_body.recording.readers.imported_keypoints import with_keypoints
 from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.options import Options
 from bayes_body.recording.session.session import Session, View
 
 KEYPOINTS = len(LAYOUTS["COCO_17"])
@@ -52,4 +53,4 @@ class PoseEstimator:
     def imported(self, folder: Path, frames: int) -> Session:
         """The session with so many frames, imported to a folder."""
         session = dataclasses.replace(self.session, folder=folder, frames=frames)
-        return with_keypoints(session, {view.camera.name: self.folder_of(view) for view in session.views}, "COCO_17")[0]
+        return with_keypoints(session, {view.camera.name: self.folder_of(view) for view in session.views}, Options(layout="COCO_17"))[0]

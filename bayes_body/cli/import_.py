@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 
 from bayes_body.base.errors import input_error
 from bayes_body.cli.terminal import say
+from bayes_body.recording.readers.file_names import composed
 
 if TYPE_CHECKING:
     from bayes_body.recording.session.session import Session
@@ -20,6 +20,7 @@ DEFAULT_MODEL = "deutscher_2005"
 
 Target = Annotated[Path, typer.Argument(help="Folder to write session.toml and check.png into.", show_default=False)]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing session.toml, including your edits in it.")]
+Videos = Annotated[Path | None, typer.Option("--videos", help="Folder with CAMERA.mp4 or CAMERA/ of images, if it is not the usual one.")]
 Masks = Annotated[Path | None, typer.Option("--masks", help="Folder with silhouettes in CAMERA/, numbered like the frames.")]
 Background = Annotated[Path | None, typer.Option("--background", help="Folder with CAMERA.mp4, .png ... of the empty scene.")]
 Truth = Annotated[Path | None, typer.Option("--truth", help="An .npz with true `markers` (frame, 15, 3), metres, and their `names`.")]
@@ -38,6 +39,10 @@ KeypointsFirst = Annotated[
         metavar="[CAMERA=]NUMBER",
         help="Number of the keypoints that belong to the first recorded frame, if they are not numbered like the frames; may be repeated.",
     ),
+]
+KeypointsUnit = Annotated[
+    str | None,
+    typer.Option("--keypoints-unit", help="Unit of the keypoints: px, or share of the image's sides (0 to 1); pixels by default."),
 ]
 Layout = Annotated[
     str | None,
@@ -65,7 +70,7 @@ Rig = Annotated[
 ]
 NoLengths = Annotated[bool, typer.Option("--no-lengths", help="Do not measure the lengths of the limbs on the keypoints of two or more cameras.")]
 Resample = Annotated[bool, typer.Option("--resample", help="Pair the frames of videos of different rates by time, at the slowest rate.")]
-Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm or mm.")]
+Unit = Annotated[str | None, typer.Option("--unit", help="Unit of the calibration's translations: m, cm, mm or in (inches).")]
 Up = Annotated[str | None, typer.Option("--up", help="The axis of the calibration's world that points up: x, y or z.")]
 
 
@@ -85,7 +90,7 @@ LABORATORIES = {
         "Import cameras, images, masks, body shape and initial pose of the PARSEC suite's bodytrack.",
         "Folder of the PARSEC suite's bodytrack: CALIB, CAM1.., FG1.., BodyShapeParameters.txt, InitialPose.txt.",
         # It has the body's measures.
-        omitted_options=("unit", "up", "no_lengths", "resample"),
+        omitted_options=("unit", "up", "no_lengths", "videos", "resample"),
     ),
     "pose2sim": Laboratory(
         "A Pose2Sim project: videos or images, and keypoints.",
@@ -117,12 +122,14 @@ def _import(
     source: Path,
     session: Target,
     overwrite: Overwrite = False,
+    videos: Videos = None,
     masks: Masks = None,
     background: Background = None,
     truth: Truth = None,
     keypoints: Keypoints = None,
     layout: Layout = None,
     keypoints_first: KeypointsFirst = None,
+    keypoints_unit: KeypointsUnit = None,
     height: Height = None,
     model: Model = DEFAULT_MODEL,
     fps: Fps = None,
@@ -144,9 +151,26 @@ def _import(
     offsets = _numbers_by_camera("--offset", offset, "CAMERA=FRAMES, such as cam02=3", needs_camera=True)
     starts = _numbers_by_camera("--keypoints-first", keypoints_first, "[CAMERA=]NUMBER, such as 1 or cam02=440", needs_camera=False)
     options = Options(
-        unit, up, fps, height, masks, background, truth, offsets, layout, keypoints, first_frame, frames, not no_lengths, starts, _changes(rig)
+        unit=unit,
+        up=up,
+        fps=fps,
+        height_m=height,
+        masks=masks,
+        background=background,
+        truth=truth,
+        offsets=offsets,
+        layout=layout,
+        keypoints=keypoints,
+        first_frame=first_frame,
+        frames=frames,
+        measures_lengths=not no_lengths,
+        keypoints_first=starts,
+        keypoints_unit=keypoints_unit,
+        videos=videos,
+        rig=_changes(rig),
+        resample=resample,
+        progress=sys.stderr.isatty(),
     )
-    options = replace(options, resample=resample, progress=sys.stderr.isatty())
     if (session / FILE_NAME).exists() and not overwrite:
         raise input_error(session, f"already holds a {FILE_NAME}", "a folder without one", "name another, or replace it with --overwrite")
     if model != DEFAULT_MODEL:
@@ -159,8 +183,12 @@ def _import(
         say(f"note: {remark}")
     _compare_cameras(recording, offsets)
     _warn_of_nobody(recording)
+    from bayes_body.recording.readers.import_table import describe_import
+
     picture = draw_first_frame(recording, model, session / "check.png")
     say(f"{size_of(recording)}: {session / FILE_NAME}")
+    for line in describe_import(recording, source, options, source / reader.POSES if hasattr(reader, "POSES") else None):
+        say(line)
     say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
 
 
@@ -188,7 +216,7 @@ def _numbers_by_camera(option: str, texts: list[str] | None, expected: str, need
     """Return the whole number that an option gives for each camera; under an empty name that of all cameras."""
     numbers: dict[str, int] = {}
     for text in texts or []:
-        name, separator, number = text.rpartition("=")
+        name, separator, number = composed(text).rpartition("=")
         try:
             value = int(number)
         except ValueError:
@@ -229,9 +257,9 @@ def _compare_cameras(session: "Session", offsets: Mapping[str, int]) -> None:
 def _warn_of_nobody(session: "Session") -> None:
     """Tell the user if nobody is in the first frame. Without masks the background is learned first, which takes some seconds."""
     from bayes_body.base.config import configure
+    from bayes_body.base.progress import waiting
 
     configure()
-    from bayes_body.base.progress import waiting
     from bayes_body.initial.search.automatic import nobody_first
     from bayes_body.view.figures_text import warning_line
 

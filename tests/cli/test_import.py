@@ -161,7 +161,7 @@ def test_import_of_opencvs_calibration(cli, laboratory, tmp_path):
 
 
 OPTIONS = {
-    "no unit": (("--up", "z", "--fps", "30"), ["--unit: not given", "expected m, cm or mm"]),
+    "no unit": (("--up", "z", "--fps", "30"), ["--unit: not given", "expected m, cm, mm or in"]),
     "no up": (("--unit", "mm", "--fps", "30"), ["--up: not given", "expected x, y or z"]),
     "no rate": (("--unit", "mm", "--up", "z"), ["--fps: not given, and no recording states"]),
     "another unit": (("--unit", "m", "--up", "z", "--fps", "30"), ["factor of 1000"]),

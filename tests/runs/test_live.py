@@ -59,6 +59,8 @@ def recorded(textured_session, tmp_path_factory):
     estimator.write(range(1))
     save_session(estimator.imported(session, 1))
     live = LiveSettings(estimator.folder, ENDLESS_S)
+    # A shell that starts the tests in the background lets them ignore Ctrl-C.
+    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(arriving, "LATE_S", ENDLESS_S)
         for frames, others in (
@@ -72,6 +74,7 @@ def recorded(textured_session, tmp_path_factory):
             summaries.append(run_live(Settings(session, out, **MODEL, frames=limit, resume=not others, live=live), lines.append, bar=False))
             for thread in threads:
                 thread.join()
+    signal.signal(signal.SIGINT, ignored)
     return SimpleNamespace(session=session, out=out, lines=lines, summaries=summaries, pose=estimator.folder)
 
 

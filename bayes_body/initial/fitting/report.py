@@ -111,12 +111,17 @@ def _remarks(rows: list[_Row]) -> list[str]:
         median = _amount(rows[0].camera, _median([row.residual for row in _bones(rows)]))
         check = "check the calibration, the subject's height, and that all show the same person at the same time"
         return [f"{whose} fit badly, median {median} off: {check}"]
-    return [_wrong_point(row) for row in _outliers(rows)]
+    outliers = _outliers(rows)
+    return [_describe_outliers(outliers)] if outliers else []
 
 
-def _wrong_point(row: _Row) -> str:
-    off = f"{row.name} is {_amount(row.camera, row.residual)} off: treated as"
-    return f"marker {off} wrong" if row.camera is None else f"camera {row.camera}'s {off} a wrong detection"
+def _describe_outliers(rows: list[_Row]) -> str:
+    """One sentence for all wrong points of a camera, or for all wrong markers."""
+    camera, is_one = rows[0].camera, len(rows) == 1
+    points = ", ".join(f"{row.name} is {_amount(camera, row.residual)}" for row in rows) + " off"
+    if camera is None:
+        return f"marker{'' if is_one else 's'} {points}: treated as wrong"
+    return f"camera {camera}'s {points}: treated as {'a wrong detection' if is_one else 'wrong detections'}"
 
 
 def _amount(camera: str | None, residual: float) -> str:

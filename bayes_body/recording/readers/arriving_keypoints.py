@@ -26,6 +26,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.arriving_folder import ArrivingFolder, read_complete
 from bayes_body.recording.readers.imported_keypoints import keypoint_folders, subject_row, visible_people
 from bayes_body.recording.readers.keypoint_series import KeypointSeries, PersonFollower, read_series, write_series
+from bayes_body.recording.readers.keypoint_units import LARGEST_SHARE, are_shares
 from bayes_body.recording.readers.person import People
 from bayes_body.recording.session.read import extend_session_file
 from bayes_body.recording.session.session import Keypoints, Session, View
@@ -175,6 +176,9 @@ class ArrivingKeypoints:
             if len(complete) and complete.shape[1] != len(self._names):
                 problem, expected = f"people with {complete.shape[1]} keypoints", f"{len(self._names)}, as in the session's keypoints"
                 raise input_error(path, problem, expected, "use one network, or import the recording again")
+            if are_shares([complete]):
+                remedy = "write pixels; `--live` reads no shares of the image's sides"
+                raise input_error(path, f"no coordinate above {LARGEST_SHARE:g}", "pixels", remedy)
             people[c] = complete
 
     def _is_given_up(self, c: int, number: int, is_past: bool, waited_s: float) -> bool:

@@ -11,14 +11,15 @@ from typing import NamedTuple
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.calibration import Calibrated, check_rig
 from bayes_body.recording.readers.excerpt import excerpt
-from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.file_names import child
 from bayes_body.recording.readers.frame_pairing import SAME_RATE, Paired, pair_frames
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
 from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes, describe_turns, upright
 from bayes_body.recording.readers.rig_plausibility import describe_implausible
 from bayes_body.recording.readers.rig_sizes import OtherSize, check_sizes
-from bayes_body.recording.readers.sources import Series, Source, find_background, find_series, find_source, settled_size
+from bayes_body.recording.readers.sources import Series, Source, deeper_folders, find_background, find_series, find_source, has_source, settled_size
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Session, Subject, View
@@ -76,6 +77,8 @@ def _remarks(remaining: Mapping[str, int], frames: int, latest: int, incomplete:
 
 # Recordings are in one of these folders of a project, or in the project's folder itself.
 PLACES = ("videos", "images")
+# Named in a sentence.
+MOST_FOLDERS = 3
 
 
 class Filmed(NamedTuple):
@@ -113,7 +116,7 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     check_height(options.height_m)
     check_fps(options.fps)
     check_changes(options.rig, [camera.name for camera in rig.cameras])
-    filmed = _filmed(rig, options.rig)
+    filmed = _filmed(rig, options.videos, options.rig)
     check_rig(rig.calibration, [recording.camera for recording in filmed])
     clocks = {recording.camera.name: recording.source.clock for recording in filmed if recording.source.clock is not None}
     paired = pair_frames(clocks, options.fps, options.resample, options.offsets)
@@ -126,10 +129,15 @@ def assemble(rig: Rig, folder: Path, title: str, options: Options) -> tuple[Sess
     recorded_session = Session(folder, title, rig.up, paired.fps, timing.frames, timing.first_frame, views, subject, calibration=calibration)
     session = excerpt(recorded_session, options.first_frame, options.frames)
     turns = describe_turns([recording.camera for recording in filmed])
-    sizes = [recording.remark for recording in filmed if recording.remark]
-    remarks = [*describe_changes(options.rig), *turns, *sizes, *paired.remarks, *timing.remarks]
+    remarks = [*describe_changes(options.rig), *turns, *_common_remarks(filmed), *paired.remarks, *timing.remarks]
     remarks += describe_implausible([view.camera for view in session.views], rig.calibration, rig.up)
     return with_options(session, options), [*remarks, *([] if options.masks else [_no_masks(options)])]
+
+
+def _common_remarks(filmed: Sequence[Filmed]) -> list[str]:
+    """The remarks about image sizes, each with all cameras of which it is said."""
+    remarks = dict.fromkeys(recording.remark for recording in filmed if recording.remark)
+    return [f"{', '.join(recording.camera.name for recording in filmed if recording.remark == remark)}: {remark}" for remark in remarks]
 
 
 def _no_masks(options: Options) -> str:
@@ -137,12 +145,13 @@ def _no_masks(options: Options) -> str:
     return f"There are no masks: silhouettes are computed from {scene}; give masks with --masks."
 
 
-def _filmed(rig: Rig, changes: Changes) -> list[Filmed]:
+def _filmed(rig: Rig, videos: Path | None, changes: Changes) -> list[Filmed]:
     faults, recordings = Faults(), list[tuple[Calibrated, Source]]()
-    places = [rig.folder / place for place in PLACES if (rig.folder / place).is_dir()]
+    places = [videos] if videos else [*(rig.folder / place for place in PLACES if (rig.folder / place).is_dir()), rig.folder]
+    _check_places(places, rig)
     for camera in rig.cameras:
         with faults.collect():
-            source = find_source([*places, rig.folder], camera.name)
+            source = find_source(places, camera.name)
             recordings.append((changed(upright(camera, changes, source.size_px), changes, source.size_px), source))
     faults.raise_any()
     filmed, unfit = list[Filmed](), dict[str, OtherSize]()
@@ -156,6 +165,17 @@ def _filmed(rig: Rig, changes: Changes) -> list[Filmed]:
     check_sizes(unfit, len(recordings))
     faults.raise_any()
     return filmed
+
+
+def _check_places(places: Sequence[Path], rig: Rig) -> None:
+    """Refuse places without any camera's recording, if folders in them have all recordings."""
+    names = [camera.name for camera in rig.cameras]
+    if any(has_source(places, name) for name in names):
+        return
+    deeper = [folder for folder in deeper_folders(places[-1], names[0]) if all(has_source([folder], name) for name in names)]
+    if deeper:
+        problem = f"no recording of a camera; there are some in {', '.join(map(str, deeper[:MOST_FOLDERS]))}"
+        raise input_error(" and ".join(map(str, places)), problem, "a video or a folder of images for each camera", f"give --videos {deeper[0]}")
 
 
 def _view(filmed: Filmed, folder: Path, offset: int, paired: Paired) -> View:
@@ -202,7 +222,7 @@ def with_options(session: Session, options: Options) -> Session:
 def _with_pictures(session: Session, view: View, options: Options) -> View:
     name, size = view.camera.name, view.camera.size_px
     if options.masks is not None:
-        series = find_series(options.masks / name)
+        series = find_series(child(options.masks, name))
         numbers = [number for frame in range(session.frames) if (number := session.file_number(view, frame)) is not None]
         if not numbers:
             raise input_error(f"camera '{name}'", "no frame in the session", "at least one", "choose other frames with --first-frame and --frames")
@@ -238,14 +258,14 @@ def source_folder(source: Path, expected: str) -> Path:
     return source
 
 
-def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str, note: Callable[[str], None] = unnoted) -> Path:
+def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str, is_right: Callable[[Path], bool] | None = None) -> Path:
     """The single file that matches one of the patterns, in the first place that has a match.
 
     Args:
         places: folders.
         patterns: of files' names.
         expected: what there should be, in error messages.
-        note: receives a sentence about matches in other places, which are not used.
+        is_right: whether a file is of the right kind; asked where several match.
 
     Raises:
         InputError: there is none, or there are several.
@@ -255,9 +275,9 @@ def only_file(places: Sequence[Path], patterns: Sequence[str], expected: str, no
     if not matching:
         raise input_error(places[-1], f"no {' or '.join(patterns)} in it", expected, "name the folder that holds the calibration and the videos")
     paths = by_place[matching[0]]
+    if len(paths) > 1 and is_right is not None:
+        paths = [path for path in paths if is_right(path)] or paths
     if len(paths) > 1:
         names = ", ".join(path.name for path in paths)
         raise input_error(matching[0], f"{len(paths)} calibrations ({names})", expected, "keep only one of them there")
-    if unused := [path for place in matching[1:] for path in by_place[place]]:
-        note(f"The calibration is {paths[0]}; not used: {', '.join(map(str, unused))}.")
     return paths[0]

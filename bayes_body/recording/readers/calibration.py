@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.faults import Faults
+from bayes_body.recording.readers.file_names import composed
 from bayes_body.recording.session.schema import rotation_fault
 from bayes_body.recording.session.session import CameraSpec, lens_faults
 
@@ -121,7 +122,7 @@ def calibrated(
         with faults.collect():
             raise input_error(f"{entry}: {LENS_FIELDS[field]}", problem, expected, AGAIN)
     faults.raise_any()
-    return Calibrated(name, size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
+    return Calibrated(composed(name), size_px, (fx, fy), (cx, cy), skew / fx, coefficients, R, T)
 
 
 def _intrinsics(entry: str, K: NDArray[np.float64]) -> tuple[float, float, float, float, float]:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayes_body.base.errors import input_error
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.toml.read import read_toml, validate
 from bayes_body.base.toml.schema import Finite
 from bayes_body.recording.readers.calibration import Calibrated, calibrated
@@ -73,6 +73,14 @@ def read_calibration_toml(path: Path, unit_m: float = 1.0, note: Callable[[str],
             placed.append(_camera(f"{path}: [{header}]", header, table, unit_m))
     faults.raise_any()
     return placed
+
+
+def is_calibration(path: Path) -> bool:
+    """Whether a file has cameras. Projects have other TOML files too, such as Pose2Sim's Config.toml; a file of another kind is not looked into."""
+    try:
+        return path.suffix.lower() != ".toml" or any(camera_tables(read_toml(path)))
+    except InputError:
+        return False
 
 
 def camera_tables(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -8,6 +8,8 @@ from bayes_body.recording.readers.camera_agreement import CameraAgreement
 
 # How much farther a camera's keypoints may be from the others' points than theirs are: in pixels, and at the person's distance.
 WORSE = 1.5
+# An error up to this fraction of the diagonal is that of a good network, whichever camera has it.
+UNSUSPECTED = 0.0035
 # The largest median error of cameras that fit, as a fraction of the diagonal. The definition `keypoints` assumes 0.8 % of network and calibration.
 LARGEST = 0.01
 
@@ -50,7 +52,7 @@ def _warn_of_worst(cameras: Sequence[CameraAgreement]) -> list[str]:
     worst = max(cameras, key=lambda camera: camera.left_out_m)
     rivals = [camera for camera in cameras if camera is not worst]
     usual_px, usual_m = (float(np.median([getattr(camera, key) for camera in rivals])) for key in ("left_out_px", "left_out_m"))
-    if not (worst.left_out_m > WORSE * usual_m and worst.left_out_px > WORSE * usual_px):
+    if worst.left_out_px <= UNSUSPECTED * worst.diagonal_px or worst.left_out_m <= WORSE * usual_m or worst.left_out_px <= WORSE * usual_px:
         return []
     distance = f"its keypoints are {worst.left_out_px:.0f} px ({100 * worst.left_out_px / worst.diagonal_px:.1f} % of the diagonal)"
     compared = f"{distance} from the points of the other cameras, those of the others {usual_px:.0f} px"

@@ -1,6 +1,7 @@
 """Import the subject's keypoints: for the first frame, and for all frames.
 
-Each camera has a folder of OpenPose's files, or one file that another program wrote for the whole video (pose_files/).
+Each camera has a folder of OpenPose's files, or one file that another program wrote for the whole video (pose_files/). The unit and the order of the
+points, and the person's size, are judged before anything is written (keypoint_units.py, keypoint_orders.py, stature.py).
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,17 +14,22 @@ from jaxtyping import Float
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import watched
 from bayes_body.recording.readers.faults import Faults
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, Places, follow_person, write_series
-from bayes_body.recording.readers.keypoints import Layout, Tally, choose_layout, describe_tallies, keypoint_files, read_openpose, read_people
+from bayes_body.recording.readers.file_names import child
+from bayes_body.recording.readers.keypoint_orders import FEWEST_IN_ALL, CameraPoses, Orders, check_body, decide_orders
+from bayes_body.recording.readers.keypoint_remarks import describe_absence, describe_crowd
+from bayes_body.recording.readers.keypoint_series import KeypointSeries, follow_person, write_series
+from bayes_body.recording.readers.keypoint_units import check_unit, in_pixels
+from bayes_body.recording.readers.keypoints import LAYOUTS, Tally, describe_tallies, keypoint_files, read_openpose, read_people
 from bayes_body.recording.readers.measured_lengths import with_measured_lengths
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.person import People
+from bayes_body.recording.readers.person import People, distinct_people
 from bayes_body.recording.readers.pose_files.find import PoseFiles, find_pose_files, read_track
 from bayes_body.recording.readers.pose_files.pose_track import PoseTrack
 from bayes_body.recording.readers.rig_verdict import describe_verdict, judge_rig
+from bayes_body.recording.readers.stature import check_stature, measure_stature, triangulated_body
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
-# How many evenly spaced files of a camera are used to find the order of the keypoints.
+# How many evenly spaced files of a camera tell the order of the keypoints, if the session has few frames.
 FILES_FOR_LAYOUT = 20
 FOLDER = "keypoints"
 # Beginnings of the names of points of a whole-body network.
@@ -32,17 +38,24 @@ FACES_AND_HANDS = ("face_", "l_hand_", "r_hand_")
 
 def keypoint_folders(session: Session, folder: Path) -> dict[str, Path]:
     """Each camera's folder of files, CAMERA_json or CAMERA. Cameras without one are left out."""
-    places = {view.camera.name: (folder / f"{view.camera.name}_json", folder / view.camera.name) for view in session.views}
+    places = {view.camera.name: (child(folder, f"{view.camera.name}_json"), child(folder, view.camera.name)) for view in session.views}
     return {name: path for name, either in places.items() for path in either[::-1] if path.is_dir()}
 
 
-def with_imported_keypoints(session: Session, options: Options, usual: Path | None = None) -> tuple[Session, list[str]]:
+def with_imported_keypoints(session: Session, options: Options, usual: Path | None = None, unit: str | None = None) -> tuple[Session, list[str]]:
     """Add the keypoints that the user names, or those of the usual folder if it has any, and the lengths that they show. Also returns remarks.
+
+    Args:
+        session: its cameras and frames.
+        options: the user's options.
+        usual: the folder in which the laboratory's program writes keypoints.
+        unit: of the calibration's translations, if the user can give another one.
 
     Raises:
         FaultyFileError: one sentence for each folder or file that is missing or wrong.
-        InputError: the named folder has none, they cannot be read, or the session's folder cannot be written.
+        InputError: the named folder has none, they cannot be read, they are no person's, or the session's folder cannot be written.
     """
+    check_unit(options.keypoints_unit)
     folder, names = options.keypoints or usual, [view.camera.name for view in session.views]
     files = find_pose_files(folder, names) if folder else PoseFiles({}, [])
     folders, expected = files.paths, "for each camera a folder CAMERA_json of OpenPose's files, or a file of AlphaPose, MMPose, DeepLabCut or SLEAP"
@@ -53,63 +66,73 @@ def with_imported_keypoints(session: Session, options: Options, usual: Path | No
             "--layout", f"{options.layout}, but there are no keypoints{f' in {folder}' if folder else ''}", expected, "leave the option out"
         )
     if not folders:
-        return session, files.remarks(names)
-    session, remarks = with_keypoints(session, folders, options.layout, options.keypoints_first, options.rig, options.progress)
+        return session, [f"No keypoints are imported: nothing in {folder} has a camera's name."] if files.unused else []
+    session, remarks = with_keypoints(session, folders, options, unit)
     session, measures = with_measured_lengths(session) if options.measures_lengths else (session, [])
-    return session, [*files.remarks(names), *remarks, *measures]
+    return session, [*remarks, *measures]
 
 
 def with_keypoints(
-    session: Session,
-    folders: Mapping[str, Path],
-    layout: str | None = None,
-    starts: Mapping[str, int] | None = None,
-    rig: Mapping[str, str] | None = None,
-    progress: bool = False,
+    session: Session, folders: Mapping[str, Path], options: Options | None = None, unit: str | None = None
 ) -> tuple[Session, list[str]]:
     """Add the subject's keypoints: all frames in files beside the session, the first frame as the first pose. Also returns remarks.
 
     Args:
         session: its cameras and frames.
         folders: each camera's folder of files, numbered like its frames, or its file of the whole video; a camera may be missing.
-        layout: the order of the keypoints; None: infer it from the data.
-        starts: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame, if it is another one.
-        rig: the changes of the calibration that the user asks for.
-        progress: whether bars on standard error show how many frames are done.
+        options: the user's options. Used are the order, the unit and the first numbers of the keypoints, the changes of the rig, and the bars.
+        unit: of the calibration's translations, if the user can give another one.
 
     Raises:
-        FaultyFileError: one sentence for each folder or file that is missing or wrong.
-        InputError: the order of the keypoints cannot be inferred, they contradict the calibration, or the session's folder cannot be written.
+        FaultyFileError: one sentence for each folder or file that is missing or wrong, or whose points are in another order.
+        InputError: the order of the keypoints cannot be inferred, they contradict the calibration or are no person's, or the session's folder
+            cannot be written.
     """
+    options = options or Options()
     views = [view for view in session.views if view.camera.name in folders]
     tracks = {name: read_track(path) for name, path in folders.items() if path.is_file()}
-    people, remarks = _read(session, views, folders, tracks, starts or {}, progress)
-    somebody = [group for frame in people for group in frame if len(group)]
-    if not somebody:
+    cameras, remarks = _read(session, views, folders, tracks, options.keypoints_first, options.progress)
+    sizes = {view.camera.name: view.camera.size_px for view in views}
+    cameras = in_pixels(cameras, sizes, options.keypoints_unit)
+    if not any(len(group) for groups in cameras.values() for group in groups):
         return session, ["The keypoint files contain no people: the session has no keypoints."]
-    order = _order(folders, tracks, [*somebody, *_sample(views, folders)], layout)
-    people, order = _of_body(people, order)
-    verdict = judge_rig(session, views, people, order.keypoints, rig or {})
-    places = follow_person([view.camera for view in views], people, watched("following the person", progress))
-    first = {
-        view.camera.name: _named(view.camera, among[place], order)
-        for view, among, place in zip(views, people[0], places[0], strict=True)
-        if place is not None
-    }
-    remarks = [*([order.remark] if order.remark else []), *remarks, *_crowd(session, views, people[0], places), *_seldom(views, places)]
-    remarks += describe_verdict(views, people, places, verdict)
-    files = {view.camera.name: _written(session, view, c, people, places, order) for c, view in enumerate(views)}
+    has_few = sum(len(group) for groups in cameras.values() for group in groups) < FEWEST_IN_ALL
+    sample = in_pixels(_sample(folders), sizes, options.keypoints_unit) if has_few else {}
+    points, orders = _orders(folders, tracks, cameras, sample, options.layout, session.first_frame)
+    cameras, names = _common_points(cameras, points)
+    people = [list(frame) for frame in zip(*cameras.values(), strict=True)]
+    verdict = judge_rig(session, views, people, names, options.rig)
+    places = follow_person([view.camera for view in views], people, watched("following the person", options.progress))
+    frames = list(zip(people, places, strict=True))
+    rows = np.stack([[subject_row(view.camera, frame[c], chosen[c], len(names)) for frame, chosen in frames] for c, view in enumerate(views)])
+    remarks = [
+        *([orders.remark] if orders.remark else []),
+        *remarks,
+        *describe_crowd(session, views, people, places),
+        *describe_absence(views, people),
+        *describe_verdict(views, people, places, verdict),
+    ]
+    if not session.moves:
+        body = triangulated_body([view.camera for view in views], rows)
+        remarks += check_body(orders, body, names, options.layout is not None)
+        remarks += check_stature(measure_stature(body, names), session.subject.height_m, unit)
+    files = {view.camera.name: _written(session, view, points, names) for view, points in zip(views, rows, strict=True)}
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
     has_first_pose = session.initial or session.initial_markers
-    return replace(session, views=marked, initial_keypoints={} if has_first_pose else first), remarks
+    first = (
+        {}
+        if has_first_pose
+        else {view.camera.name: _named(points[0], names) for view, points, place in zip(views, rows, places[0], strict=True) if place is not None}
+    )
+    return replace(session, views=marked, initial_keypoints=first), remarks
 
 
 def _read(
     session: Session, views: Sequence[View], folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], starts: Mapping[str, int], progress: bool
-) -> tuple[list[list[People]], list[str]]:
-    """The people of each frame in each camera, and remarks on frames without a file and on what was strange."""
-    faults, cameras, remarks, nobody, tallies = Faults(), [], list[str](), np.zeros((0, 0, 3)), dict[str, Tally]()
+) -> tuple[dict[str, list[People]], list[str]]:
+    """The people of each camera in each frame, and remarks on what was strange."""
+    faults, cameras, nobody, tallies = Faults(), dict[str, list[People]](), np.zeros((0, 0, 3)), dict[str, Tally]()
     for view in views:
         with faults.collect():
             name = view.camera.name
@@ -125,16 +148,10 @@ def _read(
                 series, tally.largest = track.people, track.unclipped or 0.0
             else:
                 series = dict(zip(numbers, read_openpose(path, numbers, tally, watched(f"reading keypoints of {name}", progress)), strict=True))
-            cameras.append([nobody if number is None else visible_people(series.get(number, nobody)) for number in expected])
-            if len(numbers) < len(filmed):
-                absence = f"are not in {path.name}" if track else f"have no file in {path}"
-                lost = f"{len(filmed) - len(numbers)} of {len(filmed)} frames {absence}"
-                remarks.append(f"camera '{name}': {lost}: its keypoints are missing there.")
+            cameras[name] = [nobody if number is None else visible_people(series.get(number, nobody), tally) for number in expected]
+            tally.missing, tally.frames = len(filmed) - len(numbers), len(filmed)
     faults.raise_any()
-    remarks += describe_tallies(tallies)
-    if programs := sorted({track.program for track in tracks.values()}):
-        remarks.append(f"Keypoints are read from files of {' and '.join(programs)}.")
-    return [list(frame) for frame in zip(*cameras, strict=True)], remarks
+    return cameras, describe_tallies(tallies)
 
 
 def _numbers(session: Session, view: View, start: int | None) -> list[int | None]:
@@ -146,25 +163,50 @@ def _numbers(session: Session, view: View, start: int | None) -> list[int | None
     return [None if number is None else number + shift for number in filmed]
 
 
-def _order(folders: Mapping[str, Path], tracks: Mapping[str, PoseTrack], people: Sequence[People], layout: str | None) -> Layout:
-    """The order of the keypoints: the one that all files state, else the one that their number and the body's proportions tell."""
+def _orders(
+    folders: Mapping[str, Path],
+    tracks: Mapping[str, PoseTrack],
+    cameras: Mapping[str, Sequence[People]],
+    sample: Mapping[str, Sequence[People]],
+    layout: str | None,
+    first_frame: int,
+) -> tuple[dict[str, tuple[str, ...]], Orders]:
+    """The names of each camera's points: those that all files state, else those that their number and the body's proportions tell."""
     stated = {track.names for track in tracks.values() if track.names}
-    if not stated or layout is not None:
-        return choose_layout(_alike(folders, people), layout)
-    if len(stated) > 1 or len(tracks) < len(folders):
+    if stated and layout is None:
+        if len(stated) > 1 or len(tracks) < len(folders):
+            folder = next(iter(folders.values())).parent
+            raise input_error(folder, "cameras whose files name other keypoints", "the same keypoints for all cameras", "use one network")
+        return dict.fromkeys(cameras, stated.pop()), Orders({})
+    poses = {name: _poses(groups, sample.get(name, ())) for name, groups in cameras.items()}
+    counts = sorted({group.shape[1] for groups in (*cameras.values(), *sample.values()) for group in groups if len(group)})
+    if len(counts) > 1:
         folder = next(iter(folders.values())).parent
-        raise input_error(folder, "cameras whose files name other keypoints", "the same keypoints for all cameras", "use one network")
-    program = next(iter(tracks.values())).program
-    return Layout(program, stated.pop())
+        raise input_error(folder, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
+    orders = decide_orders({name: camera for name, camera in poses.items() if len(camera.poses)}, counts[0], layout, first_frame)
+    layouts = {name: orders.layouts.get(name, next(iter(orders.layouts.values()))) for name in cameras}
+    return {name: LAYOUTS[layout_name] for name, layout_name in layouts.items()}, orders
 
 
-def _of_body(people: list[list[People]], order: Layout) -> tuple[list[list[People]], Layout]:
-    """The people and the order without points of faces and hands, which no body has."""
-    columns = [place for place, name in enumerate(order.keypoints) if not name.startswith(FACES_AND_HANDS)]
-    if len(columns) == len(order.keypoints):
-        return people, order
-    names = tuple(order.keypoints[place] for place in columns)
-    return [[group[:, columns] if len(group) else group for group in frame] for frame in people], order._replace(keypoints=names)
+def _poses(groups: Sequence[People], sample: Sequence[People]) -> CameraPoses:
+    """All people of a camera. Those of a sample of other frames count as if they were in the last frame."""
+    numbered = [(frame, group) for frame, group in enumerate(groups) if len(group)]
+    numbered += [(len(groups) - 1, group) for group in sample if len(group)]
+    if not numbered:
+        return CameraPoses(np.zeros((0, 0, 2)), np.zeros(0, int))
+    frames = [np.full(len(group), frame) for frame, group in numbered]
+    # A group of other size is refused by its number of points.
+    count = numbered[0][1].shape[1]
+    poses = [group[..., :2] for _, group in numbered if group.shape[1] == count]
+    return CameraPoses(np.concatenate(poses), np.concatenate(frames)[: sum(map(len, poses))])
+
+
+def _common_points(cameras: Mapping[str, Sequence[People]], orders: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, list[People]], tuple[str, ...]]:
+    """The people with the points that all cameras have, in one order, and their names; without faces and hands, which no body has."""
+    listed = list(orders.values())
+    common = tuple(name for name in listed[0] if all(name in names for names in listed) and not name.startswith(FACES_AND_HANDS))
+    columns = {camera: [names.index(name) for name in common] for camera, names in orders.items()}
+    return {camera: [group[:, columns[camera]] if len(group) else group for group in groups] for camera, groups in cameras.items()}, common
 
 
 def _other_numbers(camera: str, path: Path, numbers: Sequence[int], first: int, count: int) -> InputError:
@@ -174,29 +216,26 @@ def _other_numbers(camera: str, path: Path, numbers: Sequence[int], first: int, 
     return input_error(path, problem, f"numbers {first} to {first + count - 1}, those of the camera's frames", remedy)
 
 
-def visible_people(people: People) -> People:
-    """The people of whom a keypoint was found."""
-    return people[np.isfinite(people[..., 0]).any(axis=1)]
+def visible_people(people: People, tally: Tally | None = None) -> People:
+    """The people of whom a keypoint was found; of several detections of a person, the most confident one. `tally` counts the others."""
+    visible = people[np.isfinite(people[..., 0]).any(axis=1)]
+    distinct = distinct_people(visible)
+    if tally is not None:
+        tally.repeated += len(visible) - len(distinct)
+    return distinct
 
 
-def _sample(views: Sequence[View], folders: Mapping[str, Path]) -> list[People]:
-    files = [list(keypoint_files(path).values()) for view in views if (path := folders[view.camera.name]).is_dir()]
-    return [group for paths in files for path in paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] if len(group := read_people(path))]
+def _sample(folders: Mapping[str, Path]) -> dict[str, list[People]]:
+    """The people of some files of each camera, whichever frames they belong to."""
+    files = {name: list(keypoint_files(path).values()) for name, path in folders.items() if path.is_dir()}
+    chosen = {name: paths[:: max(1, len(paths) // FILES_FOR_LAYOUT)] for name, paths in files.items()}
+    return {name: [group for path in paths if len(group := visible_people(read_people(path)))] for name, paths in chosen.items()}
 
 
-def _alike(folders: Mapping[str, Path], people: Sequence[People]) -> Float[np.ndarray, "person keypoint 3"]:
-    counts = sorted({group.shape[1] for group in people})
-    if len(counts) > 1:
-        folder = next(iter(folders.values())).parent
-        raise input_error(folder, f"people with {counts[0]} and with {counts[-1]} keypoints", "one order of keypoints", "use one network")
-    return np.concatenate(people)
-
-
-def _named(camera: CameraSpec, person: Float[np.ndarray, "keypoint 3"], layout: Layout) -> Keypoints:
+def _named(points: Float[np.ndarray, "keypoint 3"], names: Sequence[str]) -> Keypoints:
     """The keypoints that were found inside the image."""
-    inside = _inside(camera, person) & (person[:, 2] > 0)
-    points = zip(layout.keypoints, person.tolist(), inside.tolist(), strict=True)
-    return {name: (column, row, confidence) for name, (column, row, confidence), is_inside in points if is_inside}
+    rows = zip(names, points.tolist(), strict=True)
+    return {name: (column, row, confidence) for name, (column, row, confidence) in rows if confidence > 0}
 
 
 def _inside(camera: CameraSpec, points: Float[np.ndarray, "*_ 3"]) -> np.ndarray:
@@ -210,45 +249,8 @@ def subject_row(camera: CameraSpec, people: People, place: int | None, keypoints
     return row
 
 
-def _written(session: Session, view: View, c: int, people: Sequence[Sequence[People]], places: Sequence[Places], order: Layout) -> str:
+def _written(session: Session, view: View, points: Float[np.ndarray, "frame keypoint 3"], names: tuple[str, ...]) -> str:
     """Write the camera's file with the subject's keypoints inside the image; returns its name as the session writes it."""
-    count = len(order.keypoints)
-    points = np.stack([subject_row(view.camera, frame[c], chosen[c], count) for frame, chosen in zip(people, places, strict=True)])
     name = f"{FOLDER}/{view.camera.name}.npz"
-    write_series(session.folder / name, KeypointSeries(points, order.keypoints, session.number(view, 0)))
+    write_series(session.folder / name, KeypointSeries(points, names, session.number(view, 0)))
     return name
-
-
-def _crowd(session: Session, views: Sequence[View], people: Sequence[People], series: Sequence[Places]) -> list[str]:
-    """A remark if nobody is in the first frame, with the first that shows the subject, or if several people are."""
-    places = series[0]
-    if not any(place is not None for place in places):
-        why = "No two cameras agree on a person's keypoints" if len(views) > 1 and any(map(len, people)) else "The keypoint files contain no people"
-        return [f"{why} in frame {session.first_frame}, the first one: the session has no first keypoints{_describe_first_shown(session, series)}."]
-    choices = [
-        f"{view.camera.name}: {'none' if place is None else f'#{place + 1}'} of {len(among)}"
-        for view, among, place in zip(views, people, places, strict=True)
-        if len(among) > 1 or place is None
-    ]
-    how = "on whom most cameras agree" if len(views) > 1 else "who is largest"
-    return (
-        [f"There are several people in the first frame. The subject is the one {how} ({', '.join(choices)}): check the picture."] if choices else []
-    )
-
-
-def _describe_first_shown(session: Session, series: Sequence[Places]) -> str:
-    """Words on the first frame in which two cameras, or the only one, show the subject."""
-    shown = [sum(place is not None for place in places) for places in series]
-    first_shown = next((frame for frame, count in enumerate(shown) if count >= min(2, len(series[0]))), None)
-    if first_shown is None:
-        return ""
-    number = session.frame_number(first_shown)
-    return f"; they show the subject from frame {number} on: begin there with --first-frame {number}"
-
-
-def _seldom(views: Sequence[View], places: Sequence[Places]) -> list[str]:
-    """A remark on cameras that do not see the subject in every frame."""
-    frames = len(places)
-    unseen = [sum(chosen[c] is None for chosen in places) for c in range(len(views))]
-    counts = [f"{view.camera.name}: {count} of {frames}" for view, count in zip(views, unseen, strict=True) if count]
-    return [f"Frames in which a camera's keypoints do not show the subject: {', '.join(counts)}."] if counts else []

@@ -52,7 +52,7 @@ def import_laboratory(laboratory: Laboratory, source: Path, folder: Path, option
     expected = f"a folder with one calibration of {laboratory.maker} ({' or '.join(laboratory.patterns)}) and a video of each camera"
     source_folder(source, expected)
     notes: list[str] = []
-    path = only_file([source / "calibration", source], laboratory.patterns, expected, notes.append)
+    path = only_file([source / "calibration", source], laboratory.patterns, expected)
     rig = Rig(path, laboratory.read(path, notes.append), source, up_axis(options.up or laboratory.up, ""))
     session, remarks = assemble_upright(rig, folder.resolve(), f"{laboratory.maker} recording {source.resolve().name}", options)
     session, keypoint_remarks = with_imported_keypoints(session, options)

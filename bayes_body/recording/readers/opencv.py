@@ -39,7 +39,7 @@ def import_opencv(source: Path, folder: Path, options: Options | None = None) ->
     path, notes = _calibration([source / "calibration", source]), list[str]()
     cameras: Sequence[Calibrated] = read_calibration_toml(path, unit_m, notes.append) if path.suffix == ".toml" else read_opencv(path, unit_m)
     session, remarks = assemble_upright(Rig(path, cameras, source, up), folder.resolve(), f"recording {source.resolve().name}", options)
-    session, keypoint_remarks = with_imported_keypoints(session, options)
+    session, keypoint_remarks = with_imported_keypoints(session, options, unit=options.unit)
     return saved(session), [*notes, *remarks, *keypoint_remarks]
 
 

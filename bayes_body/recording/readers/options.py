@@ -9,7 +9,7 @@ from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.session.schema import LONGEST_M
 
 type Axis = Literal["x", "y", "z"]
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 # A height above this cannot be in centimetres.
 LONGEST_CM = 300
 
@@ -19,7 +19,7 @@ class Options:
     """The options of all importers. An importer refuses options that have no meaning for it.
 
     Attributes:
-        unit: the unit of length of the calibration, `m`, `cm` or `mm`.
+        unit: the unit of length of the calibration, `m`, `cm`, `mm` or `in` (inches).
         up: the world's axis that points up.
         fps: frames per second; overrides the videos' own rate.
         height_m: the subject's stature.
@@ -36,6 +36,8 @@ class Options:
         resample: whether videos of different rates are paired by time, at the slowest rate.
         keypoints_first: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame.
         rig: the change of a camera's calibration, or of all cameras' under an empty name (`rig_option.NAMES`).
+        videos: the folder with the recordings, if it is not the usual one.
+        keypoints_unit: the unit of the keypoints, `px` or `share` (of the image's width and height); pixels by default.
     """
 
     unit: str | None = None
@@ -55,6 +57,8 @@ class Options:
     rig: Mapping[str, str] = field(default_factory=dict)
     resample: bool = False
     progress: bool = False
+    keypoints_unit: str | None = None
+    videos: Path | None = None
 
 
 def check_height(height_m: float | None) -> None:
@@ -83,14 +87,14 @@ def metres_per_unit(unit: str | None, why: str) -> float:
     """Metres per unit that the user names.
 
     Args:
-        unit: `m`, `cm`, `mm`, or None if it was not given.
+        unit: `m`, `cm`, `mm`, `in`, or None if it was not given.
         why: why it must be given, as the beginning of a sentence.
 
     Raises:
         InputError: not given, or no such unit.
     """
     if unit is None:
-        raise input_error("--unit", f"not given; {why}", "m, cm or mm", "give the unit of its translations, such as --unit mm")
+        raise input_error("--unit", f"not given; {why}", "m, cm, mm or in", "give the unit of its translations, such as --unit mm")
     if unit not in METRES:
         raise InputError(f"--unit: '{unit}': no such unit; {nearest(unit, METRES)}")
     return METRES[unit]

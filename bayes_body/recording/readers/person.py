@@ -21,6 +21,8 @@ SAME = 0.1
 NEAR = 0.2
 # In a crowd, all pairs would take minutes, and the subject is unlikely to be only the seventh by size.
 MOST_PROPOSERS = 6
+# Two detections nearer than this are one person, detected twice; people who overlap differ by more.
+REPEATED = 0.02
 # With fewer common keypoints a comparison is meaningless.
 FEWEST = 5
 
@@ -99,3 +101,18 @@ def _size(person: Float[np.ndarray, "keypoint 3"]) -> float:
     """Diagonal of the bounding box of a person, pixels; 0 if no keypoint is known."""
     points = person[np.isfinite(person[:, :2]).all(axis=1), :2]
     return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+
+
+def distinct_people(people: People) -> People:
+    """The people of a frame without repeated detections of the same person: of these, the most confident one. Their order stays."""
+    chosen: list[int] = []
+    for k in np.argsort(-people[..., 2].sum(axis=1), kind="stable") if len(people) > 1 else range(len(people)):
+        if not any(_is_repeated(people[k], people[i]) for i in chosen):
+            chosen.append(int(k))
+    return people[sorted(chosen)]
+
+
+def _is_repeated(person: Float[np.ndarray, "keypoint 3"], rival: Float[np.ndarray, "keypoint 3"]) -> bool:
+    distances = np.linalg.norm(person[:, :2] - rival[:, :2], axis=1)
+    distances = distances[np.isfinite(distances)]
+    return len(distances) >= FEWEST and float(np.median(distances)) < REPEATED * _size(rival)

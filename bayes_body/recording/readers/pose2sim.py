@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.assemble import Rig, only_file, saved, source_folder
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration_toml import is_calibration, read_calibration_toml
 from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
 from bayes_body.recording.readers.laboratory import QUALISYS, VICON
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
@@ -13,6 +13,8 @@ from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"
+# The folder in which Pose2Sim writes keypoints.
+POSES = "pose"
 # Of calibrations that state unit and axes.
 LABORATORIES = {".txt": QUALISYS, ".xcp": VICON}
 WHY_UP = "Pose2Sim's toml does not say which axis of its world points up; it depends on how the scene was measured"
@@ -38,10 +40,10 @@ def import_pose2sim(source: Path, folder: Path, options: Options | None = None) 
     options = options or Options()
     source_folder(source, WHAT)
     remarks: list[str] = []
-    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt", "*.xcp"), f"one calibration, {WHAT}", remarks.append)
+    path = only_file([source / "calibration", source], ("*.toml", "*.qca.txt", "*.xcp"), f"one calibration, {WHAT}", is_calibration)
     rig = _rig(source, path, options, remarks.append)
-    session, more = assemble_upright(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options, source / "pose")
-    session, keypoint_remarks = with_imported_keypoints(session, options, source / "pose")
+    session, more = assemble_upright(rig, folder.resolve(), f"Pose2Sim project {source.resolve().name}", options, source / POSES)
+    session, keypoint_remarks = with_imported_keypoints(session, options, source / POSES, (options.unit or "m") if path.suffix == ".toml" else None)
     return saved(session), [*remarks, *more, *keypoint_remarks]
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayes_body.base.errors import InputError, input_error, nearest
+from bayes_body.recording.readers.file_names import composed
 from bayes_body.recording.readers.images import read_grey
 from bayes_body.recording.readers.video import probe, read_clock
 from bayes_body.recording.readers.video_clock import VideoClock
@@ -109,12 +110,24 @@ def find_source(folders: Sequence[Path], name: str) -> Source:
             )
         if paths:
             return _source(paths[0])
-    stems = [path.stem for folder in folders for path in _recordings(folder)]
+    stems = [path.stem for folder in folders for path in recordings(folder)]
     looked = " or ".join(str(folder) for folder in folders)
     raise InputError(f"camera '{name}': no video or folder of images with its name in {looked}; {nearest(name, stems)}")
 
 
-def _recordings(folder: Path) -> list[Path]:
+def has_source(folders: Sequence[Path], name: str) -> bool:
+    """Whether one of the folders has a recording of the camera `name`."""
+    return any(_named(folder, name) for folder in folders)
+
+
+def deeper_folders(folder: Path, name: str) -> list[Path]:
+    """The folders one or two levels deeper that have a recording of the camera `name`."""
+    inner = [path for pattern in ("*", "*/*") for path in sorted(folder.glob(pattern)) if path.is_dir() and not path.name.startswith(".")]
+    return [path for path in inner if _named(path, name)]
+
+
+def recordings(folder: Path) -> list[Path]:
+    """The videos of a folder, and its folders of images."""
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
     return [path for path in paths if path.suffix.lower() in VIDEOS or (path.is_dir() and any(_images(path)))]
 
@@ -124,9 +137,14 @@ def _images(folder: Path) -> Iterator[Path]:
 
 
 def _named(folder: Path, name: str) -> list[Path]:
-    recordings = _recordings(folder)
-    exact = [path for path in recordings if name in (path.stem if path.is_file() else path.name, path.name)]
-    return exact or [path for path in recordings if path.is_file() and re.search(rf"[_ ]{re.escape(name)}$", path.stem)]
+    paths = recordings(folder)
+    name = composed(name)
+    exact = [path for path in paths if name in (_stem(path), composed(path.name))]
+    return exact or [path for path in paths if path.is_file() and re.search(rf"[_ ]{re.escape(name)}$", _stem(path))]
+
+
+def _stem(path: Path) -> str:
+    return composed(path.stem if path.is_file() else path.name)
 
 
 def _source(path: Path) -> Source:
@@ -145,7 +163,7 @@ def find_background(folder: Path, name: str, size_px: tuple[int, int]) -> Path:
         InputError: none, more than one, or not of the camera's image size.
     """
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    matches = [path for path in paths if path.stem == name and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
+    matches = [path for path in paths if composed(path.stem) == composed(name) and path.suffix.lower() in (*VIDEOS, *SUFFIXES)]
     if len(matches) != 1:
         problem = "no image or video" if not matches else ", ".join(path.name for path in matches)
         raise input_error(
@@ -174,7 +192,7 @@ def settled_size(camera: str, calibrated_px: tuple[int, int] | None, source: Sou
     padded = tuple(-(-side // BLOCK) * BLOCK for side in (w, h))
     if all(full in (side, padded_side) for full, side, padded_side in zip((width, height), (w, h), padded, strict=True)):
         cut = f"calibrated at {width} x {height}, the recording has {w} x {h}"
-        return f"{camera}: {cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
+        return f"{cut}: the last columns or rows are assumed to be padding, since codecs pad to multiples of {BLOCK}."
     remedy = "name the recording that the camera was calibrated for, or calibrate again"
     raise input_error(camera, f"{source.path.name} has {w} x {h} pixels", f"{width} x {height}, as in its calibration", remedy)
 

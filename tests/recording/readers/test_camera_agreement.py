@@ -118,6 +118,10 @@ def test_a_wrong_calibration_is_named_and_is_no_wrong_clock():
     (sentence,) = warn_of_cameras(agreement, {})
     assert "camera 'c1' fits worse than the others: its keypoints are" in sentence
     assert "c1" in describe_errors(agreement) and "%" in describe_errors(agreement)
+    # The same ratios of errors that are as small as a network's say nothing.
+    small = 0.003 * agreement[1].diagonal_px / agreement[1].left_out_px
+    precise = [camera._replace(left_out_px=small * camera.left_out_px, error_px=small * camera.error_px) for camera in agreement]
+    assert warn_of_cameras(precise, {}) == []
 
 
 def test_if_no_camera_is_to_blame_all_are():

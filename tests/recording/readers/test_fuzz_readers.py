@@ -25,8 +25,9 @@ from bayes_body.recording.readers.calibration_qualisys import read_qualisys
 from bayes_body.recording.readers.calibration_toml import read_calibration_toml
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.images import read_colour
+from bayes_body.recording.readers.keypoint_orders import CameraPoses, decide_orders
 from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import choose_layout, read_people
+from bayes_body.recording.readers.keypoints import read_people
 from bayes_body.recording.readers.mocap import read_motion
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.truth import read_truth
@@ -143,7 +144,8 @@ def rigged(read):
 def laid_out(path: Path) -> None:
     people = read_people(path)
     if len(people):
-        choose_layout(people, "BODY_25" if people.shape[1] == 25 else None)
+        poses = CameraPoses(people[..., :2], np.zeros(len(people), int))
+        decide_orders({"a": poses}, people.shape[1], "BODY_25" if people.shape[1] == 25 else None)
 
 
 def picture(suffix: str) -> bytes:

@@ -8,6 +8,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from body_figures import figures
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.frames import read_frame
@@ -26,14 +27,18 @@ def pose(i: int):
     return turn, np.array([0.0, 0.9, 4.0])
 
 
+def calibrate(path, R, t):
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, value in zip(("K", "dist", "R", "T"), (K, np.zeros(5), R, t), strict=True):
+        file.write(key, value)
+    file.release()
+
+
 def make_lab(folder, written=lambda R, t: (R, t)):
     """Two cameras with OpenCV's calibration in metres, six images of each, the second's counted from 2; `written` is what the file has of R and t."""
     for i, name in enumerate(("left", "right")):
         (folder / name).mkdir(parents=True)
-        file = cv2.FileStorage(str(folder / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
-        for key, value in zip(("K", "dist", "R", "T"), (K, np.zeros(5), *written(*pose(i))), strict=True):
-            file.write(key, value)
-        file.release()
+        calibrate(folder / f"{name}.yml", *written(*pose(i)))
         for k in range(FRAMES):
             image = np.random.default_rng(k).integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
             cv2.imwrite(str(folder / name / f"{k + 2 * i:04d}.png"), image)
@@ -46,8 +51,8 @@ def lab(tmp_path):
 
 
 def person(frame: int) -> np.ndarray:
-    points = np.random.default_rng(0).uniform([-0.4, -0.4, 0.2], [0.4, 0.4, 1.6], (17, 3))
-    return points + np.array([0, 0, 0.02 * frame])
+    x, y, z = figures("COCO_17", 30)[frame].T
+    return np.stack([x, -z, y], axis=-1)
 
 
 def detect(folder, missing=()):
@@ -69,10 +74,9 @@ def options(**given) -> Options:
 
 
 def test_every_frame_has_its_own(lab, tmp_path):
-    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", missing={(1, 4)})))
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", missing={(1, 4)})))
     assert [view.keypoints for view in session.views] == ["keypoints/left.npz", "keypoints/right.npz"]
     assert load_session(save_session(session)) == session
-    assert any("do not show the subject: right: 1 of 6" in remark for remark in remarks)
     for k in range(FRAMES):
         for i, found in enumerate(read_frame(session, k).keypoints or ()):
             if (i, k) == (1, 4):
@@ -122,7 +126,7 @@ def test_frames_without_a_file(lab, tmp_path, missing):
     for k in missing:
         (tmp_path / "pose" / "left_json" / f"left.{k:04d}.json").unlink()
     session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
-    assert any(remark.startswith("camera 'left': 2 of 6 frames have no file in") for remark in remarks)
+    assert "Frames that the keypoint files do not have: left 2 of 6: the keypoints are missing there." in remarks
     assert [bool(read_frame(session, k).keypoints[0]) for k in range(FRAMES)] == [k not in missing for k in range(FRAMES)]
 
 
@@ -183,8 +187,7 @@ def test_a_file_of_a_whole_video_says_the_same(lab, tmp_path, program):
     folder.mkdir()
     for name, frames in by_camera(openpose).items():
         PROGRAMS[program](folder, name, frames)
-    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=folder))
-    assert f"Keypoints are read from files of {program.removesuffix(', h5')}." in remarks
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=folder))
     for frame in range(FRAMES):
         for seen, expected in zip(read_frame(session, frame).keypoints, read_frame(wanted, frame).keypoints, strict=True):
             assert seen.keys() == expected.keys()
@@ -228,8 +231,7 @@ def test_numbers_that_are_not_the_frames_are_refused_unless_the_first_is_given(l
 def test_a_camera_without_keypoints(lab, tmp_path):
     pose_folder = detect(tmp_path / "pose")
     (pose_folder / "right_json").rename(pose_folder / "other_json")
-    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
-    assert {"No keypoints for right.", "Not used, because no camera has this name: other_json."} <= set(remarks)
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=pose_folder))
     assert [view.keypoints for view in session.views] == ["keypoints/left.npz", None]
     assert read_frame(session, 0).keypoints[1] is None
 
@@ -278,6 +280,63 @@ def test_a_rig_is_changed_on_request_only(lab, tmp_path):
     }.items():
         with pytest.raises(InputError, match=re.escape(sentence)):
             import_opencv(lab, tmp_path / "s", options(rig=dict([rig])))
+
+
+def rewrite(folder, change):
+    """Change the people of every file: `change(people)` of arrays (keypoint, 3)."""
+    for path in folder.glob("*_json/*.json"):
+        people = [np.reshape(one["pose_keypoints_2d"], (-1, 3)) for one in json.loads(path.read_text())["people"]]
+        path.write_text(json.dumps({"people": [{"pose_keypoints_2d": points.ravel().tolist()} for points in change(people)]}))
+
+
+def test_shares_of_the_images_sides_are_read_if_said(lab, tmp_path):
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=detect(tmp_path / "pose")))
+    with pytest.raises(InputError, match=r"--keypoints-unit share: left, right: coordinates above 2; expected shares"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", keypoints_unit="share"))
+    rewrite(tmp_path / "pose", lambda people: [points / [*SIZE, 1] for points in people])
+    with pytest.raises(InputError, match=r"keypoints: left, right: no coordinate is above 2; expected pixels; .* --keypoints-unit share"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
+    with pytest.raises(InputError, match=r"--keypoints-unit: 'shares': no such unit; did you mean 'share'"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", keypoints_unit="shares"))
+    assert not (tmp_path / "s").exists()
+    session, _ = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose", keypoints_unit="share"))
+    np.testing.assert_allclose(read_frame(session, 3).keypoints[1]["l_knee"], read_frame(wanted, 3).keypoints[1]["l_knee"], rtol=1e-5)
+
+
+def test_a_person_who_is_detected_twice_is_one(lab, tmp_path):
+    detect(tmp_path / "pose")
+    rewrite(tmp_path / "pose", lambda people: [*(points * [1, 1, 0.9] + [0.1, 0, 0] for points in people), *people])
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
+    said = [remark for remark in remarks if "several people" in remark or "detected in the same frame already" in remark]
+    assert said == ["Detections of a person who was detected in the same frame already are left out: left 6, right 6."]
+    assert read_frame(session, 2).keypoints[0]["nose"][2] == pytest.approx(0.8)
+
+
+def test_a_camera_that_sees_nobody_is_named(lab, tmp_path):
+    _, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose", {(1, k) for k in range(FRAMES)})))
+    assert "right: its keypoint files show nobody in any of the 6 frames." in remarks
+    assert not any("several people" in remark for remark in remarks)
+
+
+def test_an_order_by_camera_is_read(lab, tmp_path):
+    wanted, _ = import_opencv(lab, tmp_path / "wanted", options(keypoints=detect(tmp_path / "pose")))
+    for camera, layout in (("left", "BODY_25"), ("right", "BODY_25B")):
+        for path in (tmp_path / "pose" / f"{camera}_json").iterdir():
+            points = dict(zip(LAYOUTS["COCO_17"], np.reshape(json.loads(path.read_text())["people"][0]["pose_keypoints_2d"], (-1, 3)), strict=True))
+            rows = np.stack([points.get(name, np.zeros(3)) for name in LAYOUTS[layout]])
+            path.write_text(json.dumps({"people": [{"pose_keypoints_2d": rows.ravel().tolist()}]}))
+    session, remarks = import_opencv(lab, tmp_path / "s", options(keypoints=tmp_path / "pose"))
+    assert any("(left: BODY_25; right: BODY_25B)" in remark for remark in remarks)
+    assert [read_frame(session, k).keypoints for k in range(FRAMES)] == [read_frame(wanted, k).keypoints for k in range(FRAMES)]
+
+
+def test_a_giant_is_refused_before_anything_is_written(lab, tmp_path):
+    for i, name in enumerate(("left", "right")):
+        R, t = pose(i)
+        calibrate(lab / f"{name}.yml", R, 10 * t)
+    with pytest.raises(InputError, match=r"stature: the person is 17[\.\d]* m tall .*; expected 0.75 to 2.3 m; no unit"):
+        import_opencv(lab, tmp_path / "s", options(keypoints=detect(tmp_path / "pose")))
+    assert not (tmp_path / "s").exists()
 
 
 def test_what_is_wrong_is_said(lab, tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from body_figures import figures
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.evidence.markers import MARKERS
@@ -113,15 +114,14 @@ def keypoints(points_m: np.ndarray, i: int, confidence=0.8) -> list[float]:
 
 def write_poses(source, frames=6, people=1):
     """COCO_17 keypoints of one or two people, the second far smaller in all."""
-    rng = np.random.default_rng(0)
-    person = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 1.6], (17, 3))
+    walk = figures("COCO_17", 30)[:frames] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     for i, name in enumerate(NAMES):
         folder = source / "pose" / f"{name}_json"
         folder.mkdir(parents=True)
         for frame in range(frames):
-            found = [keypoints(person + np.array([0, 0, 0.01 * frame]), i)] + [keypoints(person * 0.3, i)] * (people - 1)
+            found = [keypoints(walk[frame], i)] + [keypoints(walk[frame] * 0.3, i)] * (people - 1)
             (folder / f"{name}.{frame:04d}.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": each} for each in found]}))
-    return person
+    return walk
 
 
 IMPORTS = {"opencv": (import_opencv, MM_Z), "pose2sim": (import_pose2sim, Options(up="z")), "qualisys": (import_qualisys, Options())}
@@ -167,7 +167,7 @@ def test_a_range_of_frames(request, source, tmp_path):
 
 
 def test_units(opencv, tmp_path):
-    with pytest.raises(InputError, match="--unit: not given; these files do not say the unit of their translations; expected m, cm or mm"):
+    with pytest.raises(InputError, match="--unit: not given; these files do not say the unit of their translations; expected m, cm, mm or in"):
         import_opencv(opencv, tmp_path / "s", Options(up="z"))
     with pytest.raises(InputError, match="--up: not given; these files do not say which axis of their world points up; expected x, y or z"):
         import_opencv(opencv, tmp_path / "s", Options(unit="mm"))

@@ -165,9 +165,9 @@ def test_heights_that_are_no_metres(height, remedy):
 def test_words_of_the_options():
     assert metres_per_unit("cm", "") == 0.01
     assert up_axis("y", "") == "y"
-    with pytest.raises(InputError, match=r"--unit: not given; nobody knows; expected m, cm or mm; give .* --unit mm"):
+    with pytest.raises(InputError, match=r"--unit: not given; nobody knows; expected m, cm, mm or in; give .* --unit mm"):
         metres_per_unit(None, "nobody knows")
-    with pytest.raises(InputError, match="--unit: 'inch': no such unit; known: cm, m, mm"):
+    with pytest.raises(InputError, match=r"--unit: 'inch': no such unit; did you mean .in.\?"):
         metres_per_unit("inch", "")
     with pytest.raises(InputError, match=r"--up: '-y'; expected x, y or z"):
         up_axis("-y", "")

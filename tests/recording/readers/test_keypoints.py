@@ -9,11 +9,8 @@ from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.calibration_qualisys import read_qualisys
 from bayes_body.recording.readers.keypoints import (
     LAYOUTS,
-    PROPORTIONS,
     Tally,
-    choose_layout,
     describe_tallies,
-    disproportion,
     keypoint_files,
     read_openpose,
     read_people,
@@ -115,63 +112,10 @@ def test_layouts_name_every_keypoint_once():
         assert sides == {keypoint.removeprefix("r_") for keypoint in keypoints if keypoint.startswith("r_")}
 
 
-def figures(layout: str, count=40) -> np.ndarray:
-    """Stick figures of a body's proportions, seen from all sides and foreshortened, in the order of a layout; `count` of them."""
-    rng = np.random.default_rng(11)
-    out = np.full((count, len(LAYOUTS[layout]), 3), 0.8)
-    for points in out:
-        place = {"l_shoulder": np.array([-0.11, 0.82, 0.0]), "r_shoulder": np.array([0.11, 0.82, 0.0])}
-        for side, x in (("l", -0.05), ("r", 0.05)):
-            place[f"{side}_hip"] = np.array([x, 0.53, 0.0])
-            for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")):
-                direction = rng.normal([0, -1.5, 0], 0.5)
-                place[f"{side}_{b}"] = place[f"{side}_{a}"] + PROPORTIONS[a, b] * direction / np.linalg.norm(direction)
-        head = {name: np.array([0.0, 0.93, 0.05]) + rng.normal(0, 0.02, 3) for name in LAYOUTS[layout] if name not in place}
-        feet = {name: place[f"{name[0]}_ankle"] + rng.normal(0, 0.03, 3) for name in head if name.endswith(("toe", "heel"))}
-        place |= head | feet | {"mid_hip": (place["l_hip"] + place["r_hip"]) / 2, "neck": (place["l_shoulder"] + place["r_shoulder"]) / 2}
-        turn = rng.uniform(0, 2 * np.pi)
-        for k, name in enumerate(LAYOUTS[layout]):
-            x, y, z = place[name]
-            points[k, :2] = 300 + 500 * (x * np.cos(turn) + z * np.sin(turn)), 700 - 500 * y
-    return out
-
-
-@pytest.mark.parametrize("layout", ["BODY_25", "BODY_25B"])
-def test_proportions_tell_the_order_of_25(layout):
-    found = choose_layout(figures(layout))
-    assert (found.name, found.keypoints) == (layout, LAYOUTS[layout])
-    assert found.remark is not None and f"read as {layout}" in found.remark
-
-
-@pytest.mark.parametrize("layout", ["COCO_17", "COCO_18", "HALPE_26"])
-def test_other_orders_follow_from_their_number(layout):
-    found = choose_layout(figures(layout))
-    assert (found.name, found.remark) == (layout, None)
-
-
-def test_layouts_that_cannot_be():
-    points = figures("BODY_25")
-    assert choose_layout(points, "BODY_25B").name == "BODY_25B"
-    with pytest.raises(InputError, match=r"--layout: 'BODY25': no such order; did you mean 'BODY_25'\?"):
-        choose_layout(points, "BODY25")
-    with pytest.raises(InputError, match="--layout COCO_17: 25 keypoints per person; expected 17"):
-        choose_layout(points, "COCO_17")
-    with pytest.raises(InputError, match="keypoints: 20 per person"):
-        choose_layout(points[:, :20])
-    with pytest.raises(InputError, match=r"25 per person, which may be BODY_25 or BODY_25B; .*--layout"):
-        choose_layout(np.full((3, 25, 3), 5.0))
-
-
 @pytest.fixture(scope="module")
 def beam(pose2sim_beam):
     """All detections of the real recording, by camera."""
     return [read_openpose(pose2sim_beam / "pose" / f"cam0{c}_json", range(100)) for c in (1, 2, 3, 4)]
-
-
-def test_the_real_data_say_body_25b(beam):
-    everybody = np.concatenate([each.reshape(-1, 25, 3) for each in beam])
-    assert choose_layout(everybody).name == "BODY_25B"
-    assert disproportion(everybody, LAYOUTS["BODY_25B"]) < 0.2 < 0.35 < disproportion(everybody, LAYOUTS["BODY_25"])
 
 
 def test_the_real_body_has_its_measures(beam, pose2sim_beam):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.file_names import composed
 from bayes_body.recording.readers.pose_files import tables, whole_video
 from bayes_body.recording.readers.pose_files.pose_track import PoseTrack
 
@@ -20,21 +21,11 @@ class PoseFiles(NamedTuple):
 
     Attributes:
         paths: of each camera, the folder or the file; cameras without one are left out.
-        unused: names of the other folders and files of keypoints in it.
+        unused: the other folders and files of keypoints in it.
     """
 
     paths: dict[str, Path]
-    unused: list[str]
-
-    def remarks(self, cameras: Sequence[str]) -> list[str]:
-        """Return sentences on cameras without keypoints and on what was not read."""
-        sentences = []
-        if self.paths and (missing := [name for name in cameras if name not in self.paths]):
-            sentences.append(f"No keypoints for {', '.join(missing)}.")
-        if self.unused:
-            shown = ", ".join(self.unused[:4]) + (f" and {len(self.unused) - 4} more" if len(self.unused) > 4 else "")
-            sentences.append(f"Not used, because no camera has this name: {shown}{'' if self.paths else '; no keypoints are imported'}.")
-        return sentences
+    unused: list[Path]
 
 
 def find_pose_files(folder: Path, cameras: Sequence[str]) -> PoseFiles:
@@ -46,7 +37,7 @@ def find_pose_files(folder: Path, cameras: Sequence[str]) -> PoseFiles:
     entries = sorted(folder.iterdir()) if folder.is_dir() else []
     paths = {}
     for name in cameras:
-        folders = [entry for entry in entries if entry.is_dir() and entry.name in (name, f"{name}_json")]
+        folders = [entry for entry in entries if entry.is_dir() and composed(entry.name) in (composed(name), composed(f"{name}_json"))]
         files = [entry for entry in entries if entry.is_file() and _is_of(entry, name)]
         if folders:
             paths[name] = whole_file(folders[0]) or folders[0]
@@ -56,12 +47,12 @@ def find_pose_files(folder: Path, cameras: Sequence[str]) -> PoseFiles:
         elif files:
             paths[name] = files[0]
     used = {*paths.values(), *(path.parent for path in paths.values())}
-    return PoseFiles(paths, [entry.name for entry in entries if entry not in used and (entry.is_dir() or entry.suffix.lower() in SUFFIXES)])
+    return PoseFiles(paths, [entry for entry in entries if entry not in used and (entry.is_dir() or entry.suffix.lower() in SUFFIXES)])
 
 
 def _is_of(path: Path, camera: str) -> bool:
     """Whether a file has the camera's name, or begins with it: cam01.json, cam01DLC_resnet50.csv, cam01.analysis.h5."""
-    return path.suffix.lower() in SUFFIXES and re.match(rf"{re.escape(camera)}(?![0-9a-z])", path.name) is not None
+    return path.suffix.lower() in SUFFIXES and re.match(rf"{re.escape(composed(camera))}(?![0-9a-z])", composed(path.name)) is not None
 
 
 def whole_file(folder: Path) -> Path | None:
