@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from bayes_body.recording.readers.keypoints import LAYOUTS
-from bayes_body.recording.readers.proportions import LIMBS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.proportions import LIMBS
 
 # Places in the body's frame as shares of stature: x to the left, y up, z forward.
 HEAD = {

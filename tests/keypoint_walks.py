@@ -10,7 +10,7 @@ from bayes_body.initial.retarget import retarget
 from bayes_body.model.body.build import build_body
 from bayes_body.model.definition import load_body
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.mocap import landmarks, read_motion, resample
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Session, Subject, View

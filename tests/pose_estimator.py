@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from bayes_body.recording.readers.imported_keypoints import with_keypoints
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.imported import with_keypoints
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.session.session import Session, View
 

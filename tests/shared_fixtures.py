@@ -51,7 +51,7 @@ from bayes_body.model.body.solids import configuration_space, pose_space  # noqa
 from bayes_body.model.build import build_model  # noqa: E402
 from bayes_body.model.definition import load_definition, parse_definition  # noqa: E402
 from bayes_body.recording.evidence.markers import MARKERS  # noqa: E402
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series  # noqa: E402
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series  # noqa: E402
 from bayes_body.recording.session.read import save_session  # noqa: E402
 from bayes_body.recording.session.session import CameraSpec, Session, Subject, View  # noqa: E402
 from bayes_body.results.posterior.blocks import SPACE  # noqa: E402

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayes_body.recording.readers.keypoints import LAYOUTS
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec
 
 NAMES = LAYOUTS["COCO_17"]

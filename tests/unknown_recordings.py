@@ -20,7 +20,7 @@ from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.evidence.markers import MARKERS, evidence_names
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Session, Subject, View
 from bayes_body.runs.unknowns.fitted_session import moved_spec

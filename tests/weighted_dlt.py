@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from bayes_body.recording.readers.triangulate import reprojection_errors, undistorted_rays
+from bayes_body.recording.readers.keypoints.triangulate import reprojection_errors, undistorted_rays
 
 LARGEST_ERROR_PX, LEAST_CONFIDENCE, FEWEST_CAMERAS = 15.0, 0.3, 2
 # Longer gaps are left to the last point before them.

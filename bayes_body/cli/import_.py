@@ -243,8 +243,8 @@ def _changes(texts: list[str] | None) -> dict[str, str]:
 
 def _compare_cameras(session: "Session", offsets: Mapping[str, int]) -> None:
     """Tell the user how well the cameras fit each other, if they have keypoints, and which one does not."""
-    from bayes_body.recording.readers.camera_agreement import camera_agreement
-    from bayes_body.recording.readers.camera_sentences import describe_errors, warn_of_cameras
+    from bayes_body.recording.readers.agreement.camera_sentences import describe_errors, warn_of_cameras
+    from bayes_body.recording.readers.agreement.cameras import camera_agreement
     from bayes_body.view.figures_text import warning_line
 
     cameras = camera_agreement(session)

@@ -22,7 +22,7 @@ from bayes_body.initial.search.automatic import find_first_pose
 from bayes_body.initial.stored import restored
 from bayes_body.model.build import Model, build_model
 from bayes_body.model.definition import Definition
-from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.session.session import Keypoints, Session, Subject
 
 type Show = Callable[[str], None]

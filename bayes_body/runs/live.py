@@ -16,7 +16,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.lock import locked
 from bayes_body.base.progress import waiting
 from bayes_body.initial import Show
-from bayes_body.recording.readers.arriving_keypoints import ArrivingKeypoints, arriving_keypoints
+from bayes_body.recording.readers.keypoints.arriving import ArrivingKeypoints, arriving_keypoints
 from bayes_body.recording.session.read import FILE_NAME, load_session
 from bayes_body.recording.session.schema import MOST_FRAMES
 from bayes_body.recording.session.session import Session

@@ -28,7 +28,7 @@ from keypoint_walks import RIG, person_of, shipped_walk
 
 from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.readers.rig import read_rig
 
 # Frames that the walk lasts before the person turns back.

@@ -17,8 +17,8 @@ from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
 from bayes_body.model.unknowns.lengths import log_sd_of
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.pose2sim import import_pose2sim
 from bayes_body.recording.readers.rig import read_rig

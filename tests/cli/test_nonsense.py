@@ -18,7 +18,7 @@ from bayes_body.base.registry import names
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import CameraSpec, Session, Subject, View
 from bayes_body.results.metrics.fit import fill, outlines

@@ -23,7 +23,7 @@ from bayes_body.kernels.paths.joint.path import FirstFrame, log_ratios, solve_pa
 from bayes_body.model.build import build_model
 from bayes_body.model.dynamics.diffusion import TruncatedWalk
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.session.read import save_session
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.saved_run import load_run

@@ -10,7 +10,7 @@ import bayes_body as bb
 from bayes_body.base.errors import InputError
 from bayes_body.initial import first_pose
 from bayes_body.model.build import build_model
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 
 # Fits run for longer than they compile.
 pytestmark = pytest.mark.usefixtures("optimised")

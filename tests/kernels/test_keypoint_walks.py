@@ -9,8 +9,8 @@ from weighted_dlt import filter_points, triangulate_weighted
 
 import bayes_body as bb
 from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.readers.rig import read_rig
-from bayes_body.recording.readers.triangulate import project
 from bayes_body.results.metrics.accuracy import LEVELS
 from bayes_body.results.metrics.truth import Cloud, against_truth
 

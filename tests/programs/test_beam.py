@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.main import main
-from bayes_body.recording.readers.keypoints import LAYOUTS, read_people
-from bayes_body.recording.readers.person import choose_person
-from bayes_body.recording.readers.triangulate import triangulate
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS, read_people
+from bayes_body.recording.readers.keypoints.person import choose_person
+from bayes_body.recording.readers.keypoints.triangulate import triangulate
 from bayes_body.results.storage.saved_moments import marker_moments
 from bayes_body.results.storage.saved_run import load_run
 

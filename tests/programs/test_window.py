@@ -14,7 +14,7 @@ import bayes_body as bb
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.runs.run import run as track_run
 from bayes_body.runs.settings import Settings
 from bayes_body.runs.smooth import SmoothSettings, smooth_run

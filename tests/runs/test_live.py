@@ -16,7 +16,7 @@ from pose_estimator import PoseEstimator
 
 from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
-from bayes_body.recording.readers import arriving_keypoints as arriving
+from bayes_body.recording.readers.keypoints import arriving
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.saved_run import load_run

@@ -21,7 +21,7 @@ from bayes_body.initial.detection.detections import Found, axis_frames, landmark
 from bayes_body.initial.detection.hull import rays, triangulate_pair
 from bayes_body.initial.detection.scene import Scene
 from bayes_body.recording.observation.pictures import Colours
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 
 # The picture around a known head: its side in metres, and pixels a metre (a face is then about 50 pixels wide).
 SIDE_M, PIXELS_PER_M = 0.5, 280.0

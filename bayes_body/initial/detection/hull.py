@@ -21,7 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from bayes_body.recording.readers.triangulate import project, triangulate
+from bayes_body.recording.readers.keypoints.triangulate import project, triangulate
 from bayes_body.recording.session.session import CameraSpec
 
 VOXEL_M = 0.03

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from bayes_body.initial.detection.detections import LANDMARKS, UNKNOWN_RAD, Detections, Found, Person, axis_frames, landmark, part
 from bayes_body.initial.detection.scene import Scene
-from bayes_body.recording.readers.triangulate import Triangulated, triangulate
+from bayes_body.recording.readers.keypoints.triangulate import Triangulated, triangulate
 
 NAME = "keypoints"
 # The ends of each part, from proximal to distal.

@@ -14,7 +14,7 @@ from bayes_body.initial.detection.hull import VOXEL_M, Mask, Voxels, clean
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.pictures import Colours, read_colour
 from bayes_body.recording.readers.camera_path import cameras_at
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from bayes_body.base.errors import FaultyFileError, InputError, nearest
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.initial.fitting.points import FACE, Points
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.session.session import CameraSpec, Session
 
 # With fewer points, the prior alone would determine the pose.

@@ -14,7 +14,7 @@ from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.readers.images import NotSeenError, read_mask
-from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
 

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.images import NotSeenError, not_seen, read_grey
 from bayes_body.recording.readers.images import read_colour as read_colour_image
-from bayes_body.recording.readers.video import has_video_frame, read_video_frame
+from bayes_body.recording.readers.videos.video import has_video_frame, read_video_frame
 from bayes_body.recording.session.session import Session, View
 
 # An image with a smaller standard deviation of grey values shows nothing: the camera was off, covered or blinded.

@@ -19,7 +19,7 @@ from bayes_body.recording.observation.pictures import Colours, PictureCache, rea
 from bayes_body.recording.observation.segmentation import foreground_levels
 from bayes_body.recording.readers.images import is_image
 from bayes_body.recording.readers.images import read_colour as read_colour_image
-from bayes_body.recording.readers.video import probe, read_video_frame, readable_frames
+from bayes_body.recording.readers.videos.video import probe, read_video_frame, readable_frames
 from bayes_body.recording.session.session import Session, View
 
 # With fewer frames no background is learned: a person would be in most of them.

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.base.errors import InputError, input_error, nearest
-from bayes_body.recording.readers.calibration import Calibrated, check_rig
+from bayes_body.recording.readers.agreement.option import Changes, changed, check_changes, describe_changes, describe_turns, upright
+from bayes_body.recording.readers.agreement.plausibility import describe_implausible
+from bayes_body.recording.readers.agreement.sizes import OtherSize, check_sizes
+from bayes_body.recording.readers.calibration.calibrated import Calibrated, check_rig
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.file_names import child
-from bayes_body.recording.readers.frame_pairing import SAME_RATE, Paired, pair_frames
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.options import Axis, Options, check_fps, check_height
-from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes, describe_turns, upright
-from bayes_body.recording.readers.rig_plausibility import describe_implausible
-from bayes_body.recording.readers.rig_sizes import OtherSize, check_sizes
 from bayes_body.recording.readers.sources import Series, Source, deeper_folders, find_background, find_series, find_source, has_source, settled_size
 from bayes_body.recording.readers.truth import read_truth
+from bayes_body.recording.readers.videos.pairing import SAME_RATE, Paired, pair_frames
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Session, Subject, View
 

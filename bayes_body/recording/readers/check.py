@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.agreement.verdict import describe_contradiction
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.faults import Faults
-from bayes_body.recording.readers.frame_pairing import NEAR_RATE, SAME_RATE
 from bayes_body.recording.readers.images import NotSeenError, check_size, is_image, read_colour, read_grey, read_mask
-from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.rig_verdict import describe_contradiction
-from bayes_body.recording.readers.video import damaged_frames, probe, read_clock, readable_frames
+from bayes_body.recording.readers.keypoints.series import read_series
+from bayes_body.recording.readers.videos.pairing import NEAR_RATE, SAME_RATE
+from bayes_body.recording.readers.videos.video import damaged_frames, probe, read_clock, readable_frames
 from bayes_body.recording.session.session import Session, View
 
 MOST_RANGES = 20

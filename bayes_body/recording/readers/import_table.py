@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_body.recording.readers.imported_keypoints import FACES_AND_HANDS
-from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.imported import FACES_AND_HANDS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.pose_files.find import PoseFiles, find_pose_files, program_of
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.pose_files.find import PoseFiles, find_pose_files, program_of
 from bayes_body.recording.readers.sources import find_series
 from bayes_body.recording.readers.unused_files import unused_files
-from bayes_body.recording.readers.video import probe
+from bayes_body.recording.readers.videos.video import probe
 from bayes_body.recording.session.session import Session, View
 
 # Columns of a line, of a path, and how many unused files are listed.

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from bayes_body.recording.readers import calibration_qualisys, calibration_vicon
+from bayes_body.recording.readers.agreement.turned_pictures import assemble_upright
 from bayes_body.recording.readers.assemble import Rig, only_file, saved, source_folder
-from bayes_body.recording.readers.calibration import Calibrated
-from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.calibration import qualisys, vicon
+from bayes_body.recording.readers.calibration.calibrated import Calibrated
+from bayes_body.recording.readers.keypoints.imported import with_imported_keypoints
 from bayes_body.recording.readers.options import Axis, Options, up_axis
-from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 
@@ -29,8 +29,8 @@ class Laboratory(NamedTuple):
     read: Callable[[Path, Callable[[str], None]], list[Calibrated]]
 
 
-QUALISYS = Laboratory("Qualisys", ("*.qca.txt", "*.xml"), calibration_qualisys.UP, calibration_qualisys.read_qualisys)
-VICON = Laboratory("Vicon", ("*.xcp",), calibration_vicon.UP, calibration_vicon.read_vicon)
+QUALISYS = Laboratory("Qualisys", ("*.qca.txt", "*.xml"), qualisys.UP, qualisys.read_qualisys)
+VICON = Laboratory("Vicon", ("*.xcp",), vicon.UP, vicon.read_vicon)
 
 
 def import_laboratory(laboratory: Laboratory, source: Path, folder: Path, options: Options) -> tuple[Session, list[str]]:

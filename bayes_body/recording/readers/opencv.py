@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.agreement.turned_pictures import assemble_upright
 from bayes_body.recording.readers.assemble import Rig, saved, source_folder
-from bayes_body.recording.readers.calibration import Calibrated
-from bayes_body.recording.readers.calibration_opencv import SUFFIXES, read_opencv
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
-from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.calibration.calibrated import Calibrated
+from bayes_body.recording.readers.calibration.opencv import SUFFIXES, read_opencv
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
+from bayes_body.recording.readers.keypoints.imported import with_imported_keypoints
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
-from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 WHAT = "a folder with a calibration file (yml, yaml, xml, json, or one toml of Anipose) and a recording of each camera"

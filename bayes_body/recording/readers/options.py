@@ -35,7 +35,7 @@ class Options:
         progress: whether bars on standard error show what takes long.
         resample: whether videos of different rates are paired by time, at the slowest rate.
         keypoints_first: of a camera, or of all cameras under an empty name: the number of the keypoints of the first recorded frame.
-        rig: the change of a camera's calibration, or of all cameras' under an empty name (`rig_option.NAMES`).
+        rig: the change of a camera's calibration, or of all cameras' under an empty name (`agreement.option.NAMES`).
         videos: the folder with the recordings, if it is not the usual one.
         keypoints_unit: the unit of the keypoints, `px` or `share` (of the image's width and height); pixels by default.
     """

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.agreement.option import Changes, changed, check_changes, describe_changes
 from bayes_body.recording.readers.assemble import align, saved, source_folder, with_options, written
-from bayes_body.recording.readers.calibration import Calibrated
+from bayes_body.recording.readers.calibration.calibrated import Calibrated
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.images import read_grey, read_mask
-from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.keypoints.imported import with_imported_keypoints
 from bayes_body.recording.readers.options import Options, check_fps, check_height
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.parsec_subject import POSITIONS, read_subject
-from bayes_body.recording.readers.rig_option import Changes, changed, check_changes, describe_changes
 from bayes_body.recording.session.session import Session, View
 
 IMAGE = "image%04d.bmp"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.read import LARGEST_BYTES, read_bytes
-from bayes_body.recording.readers.calibration import Calibrated
+from bayes_body.recording.readers.calibration.calibrated import Calibrated
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.session.schema import rotation_fault
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.agreement.turned_pictures import assemble_upright
 from bayes_body.recording.readers.assemble import Rig, only_file, saved, source_folder
-from bayes_body.recording.readers.calibration_toml import is_calibration, read_calibration_toml
-from bayes_body.recording.readers.imported_keypoints import with_imported_keypoints
+from bayes_body.recording.readers.calibration.toml import is_calibration, read_calibration_toml
+from bayes_body.recording.readers.keypoints.imported import with_imported_keypoints
 from bayes_body.recording.readers.laboratory import QUALISYS, VICON
 from bayes_body.recording.readers.options import Options, metres_per_unit, up_axis
-from bayes_body.recording.readers.turned_pictures import assemble_upright
 from bayes_body.recording.session.session import Session
 
 WHAT = "a project of Pose2Sim (calibration, videos, pose)"

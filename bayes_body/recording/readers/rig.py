@@ -17,8 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.base.toml.read import read_toml, validate
-from bayes_body.recording.readers.calibration import Calibrated, check_rig
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.calibrated import Calibrated, check_rig
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
 from bayes_body.recording.readers.rig_schema import KeyframeTable, RigCameraTable, RigFile, file_name
 from bayes_body.recording.session.read import FILE_NAME, parse_session
 from bayes_body.recording.session.session import CameraSpec

@@ -11,8 +11,8 @@ from pathlib import Path
 from bayes_body.base.errors import InputError, input_error, nearest
 from bayes_body.recording.readers.file_names import composed
 from bayes_body.recording.readers.images import read_grey
-from bayes_body.recording.readers.video import probe, read_clock
-from bayes_body.recording.readers.video_clock import VideoClock
+from bayes_body.recording.readers.videos.clock import VideoClock
+from bayes_body.recording.readers.videos.video import probe, read_clock
 
 SUFFIXES = (".bmp", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 NAME = re.compile(r"(.*?)(\d{1,18})(\.[^.]+)")

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bayes_body.recording.readers.assemble import PLACES
-from bayes_body.recording.readers.calibration_toml import is_calibration
+from bayes_body.recording.readers.calibration.toml import is_calibration
 from bayes_body.recording.readers.file_names import composed
-from bayes_body.recording.readers.imported_keypoints import FOLDER
+from bayes_body.recording.readers.keypoints.imported import FOLDER
+from bayes_body.recording.readers.keypoints.pose_files.find import PoseFiles
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.pose_files.find import PoseFiles
 from bayes_body.recording.readers.sources import recordings
 from bayes_body.recording.session.session import Session
 

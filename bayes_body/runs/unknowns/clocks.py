@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bayes_body.initial import Show
-from bayes_body.recording.readers.camera_agreement import camera_agreement
+from bayes_body.recording.readers.agreement.cameras import camera_agreement
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.session.session import Session
 

@@ -20,7 +20,7 @@ from bayes_body.base.progress import steps_bar
 from bayes_body.initial import Show
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
-from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
+from bayes_body.recording.readers.calibration.rewritten import rewrite_calibration
 from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import Session
 from bayes_body.runs.unknowns.clocks import with_whole_frames

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.readers.keypoint_series import read_series
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.session.session import Session
 
 # Keypoints with lower confidence count as not found.

@@ -10,7 +10,7 @@ import numpy as np
 from cv2.typing import MatLike
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.video_stream import open_video, picture_of
+from bayes_body.recording.readers.videos.stream import open_video, picture_of
 from bayes_body.view.report.figures import data_uri, webp_uri
 from bayes_body.view.report.markup import Markup, Picture, details, figures, section, tag
 

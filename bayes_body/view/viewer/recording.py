@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from bayes_body.recording.observation.pictures import Colours, read_colour
 from bayes_body.recording.readers.camera_path import cameras_at
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, read_series
-from bayes_body.recording.readers.triangulate import triangulate
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, read_series
+from bayes_body.recording.readers.keypoints.triangulate import triangulate
 from bayes_body.recording.session.session import CameraSpec, Session, View
 from bayes_body.results.metrics.truth import true_markers
 

@@ -17,7 +17,7 @@ from bayes_body.base.files.atomic import make_folder
 from bayes_body.recording.readers.images import is_image, read_colour
 from bayes_body.recording.readers.rig import Rig
 from bayes_body.recording.readers.sources import find_background
-from bayes_body.recording.readers.video import probe, read_video_frame, readable_frames
+from bayes_body.recording.readers.videos.video import probe, read_video_frame, readable_frames
 from bayes_body.recording.session.session import CameraSpec
 from bayes_body.workshop.simulation.options import Options, Quality
 from bayes_body.workshop.simulation.raster import Light, rasterise

@@ -5,7 +5,7 @@ import numpy as np
 
 from bayes_body.initial.detection.hull import clean
 from bayes_body.initial.detection.scene import Scene
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec
 
 SIZE = (640, 480)

@@ -7,7 +7,7 @@ from initial.detection.people import JOINTS, SIZE, camera, mask, ring, scene
 
 from bayes_body.initial.detection import faces
 from bayes_body.initial.detection.faces import detect_faces, upright
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 
 FACE = np.array([0.08, 0.0, 1.6])
 

@@ -5,7 +5,7 @@ import pytest
 from initial.detection.people import camera, ring, scene
 
 from bayes_body.initial.detection.keypoints import detect_keypoints
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 
 # A person who faces +x and stands at (0.5, 0.2); left is +y.
 PLACES = {

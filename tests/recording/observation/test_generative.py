@@ -13,8 +13,8 @@ from bayes_body.recording.evidence.markers import FEET, KEYPOINTS, MARKERS
 from bayes_body.recording.observation.frames import Frame, read_frame
 from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.readers import truth
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 
 
 def observe(kind, frame, **given):

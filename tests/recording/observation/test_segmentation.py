@@ -14,7 +14,7 @@ from bayes_body.recording.observation import silhouettes
 from bayes_body.recording.observation.background import learn_background, shrink, still_background
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.observation.segmentation import foreground_levels, independent_log_odds
-from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.readers.videos.video import read_video_frame
 from bayes_body.recording.session.session import Segmentation
 
 ROWS, COLUMNS, FRAMES = 120, 160, 30

@@ -10,7 +10,7 @@ from pose_estimator import PoseEstimator
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.frames import read_frame
-from bayes_body.recording.readers import arriving_keypoints as arriving
+from bayes_body.recording.readers.keypoints import arriving
 from bayes_body.recording.session.read import FILE_NAME, load_session, save_session
 from bayes_body.recording.session.session import Span
 

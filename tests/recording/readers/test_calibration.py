@@ -11,10 +11,10 @@ import pytest
 
 from bayes_body.base.errors import FaultyFileError, InputError
 from bayes_body.base.geometry.camera import Camera, project, turning_radius
-from bayes_body.recording.readers.calibration import Calibrated, calibrated, check_rig, rotation_given_twice
-from bayes_body.recording.readers.calibration_opencv import read_opencv
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.calibrated import Calibrated, calibrated, check_rig, rotation_given_twice
+from bayes_body.recording.readers.calibration.opencv import read_opencv
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
 from bayes_body.recording.readers.parsec_files import read_calibration
 
 SIZE = (1280, 960)

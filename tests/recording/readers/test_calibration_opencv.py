@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration.opencv import read_opencv
 
 
 def matrix(key: str, values: np.ndarray) -> str:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration import check_rig
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.calibration.calibrated import check_rig
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
 
 SOUND = """\
 <?xml version='1.0' encoding='ASCII'?>

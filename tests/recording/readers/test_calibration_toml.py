@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
 
 SOUND = """\
 [cam_01]

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_vicon import read_vicon
+from bayes_body.recording.readers.calibration.vicon import read_vicon
 
 R = Rotation.from_euler("xyz", [-80, 20, 5], degrees=True).as_matrix()
 CENTRE_MM = (3410.5, -2090.25, 1300.0)

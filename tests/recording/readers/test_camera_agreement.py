@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bayes_body.cli.import_ import _compare_cameras
-from bayes_body.recording.readers.camera_agreement import compare_cameras
-from bayes_body.recording.readers.camera_sentences import describe_errors, warn_of_cameras
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
-from bayes_body.recording.readers.measured_lengths import measure_body, with_measured_lengths
+from bayes_body.recording.readers.agreement.camera_sentences import describe_errors, warn_of_cameras
+from bayes_body.recording.readers.agreement.cameras import compare_cameras
+from bayes_body.recording.readers.keypoints.measured_lengths import measure_body, with_measured_lengths
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.pose2sim import import_pose2sim
 from bayes_body.recording.session.session import CameraSpec, Session, Subject, View

@@ -14,12 +14,12 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.pictures import has_picture, read_greys
 from bayes_body.recording.readers.check import check_session
-from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.video_clock import clock_of
-from bayes_body.recording.readers.video_stream import Stamps
+from bayes_body.recording.readers.videos.clock import clock_of
+from bayes_body.recording.readers.videos.stream import Stamps
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Session, Span
 

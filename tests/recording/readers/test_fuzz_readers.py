@@ -19,19 +19,19 @@ from mutations import mutated
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.calibration import check_rig
-from bayes_body.recording.readers.calibration_opencv import read_opencv
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.calibrated import check_rig
+from bayes_body.recording.readers.calibration.opencv import read_opencv
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
 from bayes_body.recording.readers.camera_path import read_camera_path
 from bayes_body.recording.readers.images import read_colour
-from bayes_body.recording.readers.keypoint_orders import CameraPoses, decide_orders
-from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import read_people
+from bayes_body.recording.readers.keypoints.openpose import read_people
+from bayes_body.recording.readers.keypoints.orders import CameraPoses, decide_orders
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.mocap import read_motion
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.truth import read_truth
-from bayes_body.recording.readers.video import probe, read_video_frame
+from bayes_body.recording.readers.videos.video import probe, read_video_frame
 from bayes_body.recording.session.read import load_session
 
 QUICK, MANY = 300, 10_000
@@ -280,9 +280,9 @@ ALONE = """
 import sys
 from pathlib import Path
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_opencv import read_opencv
+from bayes_body.recording.readers.calibration.opencv import read_opencv
 from bayes_body.recording.readers.images import is_image, read_colour
-from bayes_body.recording.readers.video import probe
+from bayes_body.recording.readers.videos.video import probe
 from bayes_body.recording.session.read import load_session
 readers = {"opencv": lambda path: read_opencv(path, 1.0), "image": read_colour, "is image": is_image, "video": probe, "session": load_session}
 for kind, path in zip(sys.argv[1::2], sys.argv[2::2]):

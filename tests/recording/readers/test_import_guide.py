@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bayes_body.cli.import_ import app
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session
 from bayes_body.recording.session.schema import CameraTable, InitialTable, SegmentationTable, SessionFile, SubjectTable

@@ -12,8 +12,8 @@ from body_figures import figures
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.observation.frames import read_frame
-from bayes_body.recording.readers.keypoint_series import read_series
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.session.read import load_session, save_session

@@ -11,16 +11,16 @@ from body_figures import figures
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.calibration_opencv import read_opencv
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.opencv import read_opencv
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.calibration.rewritten import rewrite_calibration
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
 from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.pose2sim import import_pose2sim
 from bayes_body.recording.readers.qualisys import import_qualisys
-from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
-from bayes_body.recording.readers.video import read_video_frame
+from bayes_body.recording.readers.videos.video import read_video_frame
 from bayes_body.recording.session.read import load_session, save_session
 
 SIZE = (96, 64)

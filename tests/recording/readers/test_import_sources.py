@@ -6,9 +6,9 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.assemble import align
-from bayes_body.recording.readers.frame_pairing import frame_rate
 from bayes_body.recording.readers.options import check_fps, check_height, metres_per_unit, up_axis
 from bayes_body.recording.readers.sources import Source, find_background, find_series, find_source, settled_size
+from bayes_body.recording.readers.videos.pairing import frame_rate
 
 GREY = np.full((48, 64), 90, np.uint8)
 

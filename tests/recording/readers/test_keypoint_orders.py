@@ -5,9 +5,9 @@ import pytest
 from body_figures import figures, seen_by
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.keypoint_orders import LARGEST, CameraPoses, check_body, decide_orders
-from bayes_body.recording.readers.keypoints import LAYOUTS, read_openpose
-from bayes_body.recording.readers.proportions import misfit
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS, read_openpose
+from bayes_body.recording.readers.keypoints.orders import LARGEST, CameraPoses, check_body, decide_orders
+from bayes_body.recording.readers.keypoints.proportions import misfit
 
 
 def cameras(layout, count=2, **errors):

@@ -8,9 +8,9 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files import arrays_file
-from bayes_body.recording.readers import keypoint_series
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, follow_person, read_series, write_series
-from bayes_body.recording.readers.keypoints import LAYOUTS
+from bayes_body.recording.readers.keypoints import series as keypoint_series
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, follow_person, read_series, write_series
 from bayes_body.recording.session.session import CameraSpec
 
 NAMES = ("neck", "mid_hip", "l_knee", "nose")
@@ -197,9 +197,9 @@ def test_many_frames_at_once_are_followed_as_single_ones(monkeypatch):
 @pytest.mark.slow
 def test_the_real_subject_is_followed(pose2sim_beam):
     """Another person stands in two of the views, and is listed first in some frames."""
-    from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-    from bayes_body.recording.readers.keypoints import read_openpose
-    from bayes_body.recording.readers.person import choose_person
+    from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+    from bayes_body.recording.readers.keypoints.openpose import read_openpose
+    from bayes_body.recording.readers.keypoints.person import choose_person
 
     rig = [camera.spec((1088, 1920)) for camera in read_qualisys(pose2sim_beam / "calibration" / "Calib.qca.txt")]
     beam = [read_openpose(pose2sim_beam / "pose" / f"cam0{c}_json", range(0, 100, 4)) for c in (1, 2, 3, 4)]

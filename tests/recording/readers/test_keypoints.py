@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.keypoints import (
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.keypoints.openpose import (
     LAYOUTS,
     Tally,
     describe_tallies,
@@ -15,8 +15,8 @@ from bayes_body.recording.readers.keypoints import (
     read_openpose,
     read_people,
 )
-from bayes_body.recording.readers.person import choose_person
-from bayes_body.recording.readers.triangulate import triangulate
+from bayes_body.recording.readers.keypoints.person import choose_person
+from bayes_body.recording.readers.keypoints.triangulate import triangulate
 
 
 def person(keypoints: int, seed: int = 0) -> list[float]:

@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from simulated_rigs import rig, write_qualisys, write_toml
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_opencv import read_opencv
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
-from bayes_body.recording.readers.calibration_vicon import read_vicon
+from bayes_body.recording.readers.agreement.changes import turned
+from bayes_body.recording.readers.calibration.opencv import read_opencv
+from bayes_body.recording.readers.calibration.rewritten import rewrite_calibration
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.vicon import read_vicon
 from bayes_body.recording.readers.parsec_files import read_calibration
-from bayes_body.recording.readers.rewritten_calibration import rewrite_calibration
-from bayes_body.recording.readers.rig_changes import turned
 from bayes_body.recording.session.session import CameraSpec
 
 K = np.array([[900.0, 0, 480], [0, 920, 320], [0, 0, 1]])

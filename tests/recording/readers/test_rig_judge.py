@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from simulated_rigs import LANDSCAPE, NAMES, PORTRAIT, crowd, rig
 
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.keypoints import LAYOUTS, read_openpose
-from bayes_body.recording.readers.rig_changes import CHANGES, FLIP, POSES, scaled, turned
-from bayes_body.recording.readers.rig_judge import judge
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.agreement.changes import CHANGES, FLIP, POSES, scaled, turned
+from bayes_body.recording.readers.agreement.judge import judge
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS, read_openpose
+from bayes_body.recording.readers.keypoints.triangulate import project
 
 
 def as_written(convention, camera):

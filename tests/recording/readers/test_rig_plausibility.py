@@ -8,11 +8,11 @@ import pytest
 from simulated_rigs import LANDSCAPE, PORTRAIT, rig
 
 from bayes_body.base.files.shipped import definitions_folder
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
+from bayes_body.recording.readers.agreement.changes import POSES, turned
+from bayes_body.recording.readers.agreement.plausibility import describe_implausible
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
 from bayes_body.recording.readers.parsec_files import read_calibration
 from bayes_body.recording.readers.rig import read_rig
-from bayes_body.recording.readers.rig_changes import POSES, turned
-from bayes_body.recording.readers.rig_plausibility import describe_implausible
 
 TOML = Path("Calib.toml")
 

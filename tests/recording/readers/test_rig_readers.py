@@ -19,16 +19,16 @@ from simulated_rigs import (
 )
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.calibration_opencv import read_opencv
-from bayes_body.recording.readers.calibration_qualisys import read_qualisys
-from bayes_body.recording.readers.calibration_toml import read_calibration_toml
-from bayes_body.recording.readers.calibration_vicon import read_vicon
+from bayes_body.recording.readers.agreement.changes import CHANGES, scaled, turned
+from bayes_body.recording.readers.calibration.opencv import read_opencv
+from bayes_body.recording.readers.calibration.qualisys import read_qualisys
+from bayes_body.recording.readers.calibration.toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.vicon import read_vicon
 from bayes_body.recording.readers.check import check_session
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.parsec_files import read_calibration
-from bayes_body.recording.readers.rig_changes import CHANGES, scaled, turned
-from bayes_body.recording.readers.triangulate import project
 
 READERS = {
     "Pose2Sim": lambda folder, cameras: read_calibration_toml(write_toml(folder / "Calib.toml", cameras)),

@@ -5,9 +5,9 @@ import pytest
 from body_figures import figures
 
 from bayes_body.base.errors import InputError
-from bayes_body.recording.readers.keypoints import LAYOUTS
-from bayes_body.recording.readers.stature import Stature, check_stature, measure_stature, triangulated_body
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.stature import Stature, check_stature, measure_stature, triangulated_body
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from bayes_body.recording.readers.person import choose_person
-from bayes_body.recording.readers.triangulate import project, reprojection_errors, triangulate
+from bayes_body.recording.readers.keypoints.person import choose_person
+from bayes_body.recording.readers.keypoints.triangulate import project, reprojection_errors, triangulate
 from bayes_body.recording.session.session import CameraSpec
 
 LENS = (-0.2, 0.1, 0.003, -0.002, -0.01)

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.images import NotSeenError
-from bayes_body.recording.readers.video import damaged_frames, probe, read_video_frame, readable_frames
+from bayes_body.recording.readers.videos.video import damaged_frames, probe, read_video_frame, readable_frames
 
 SIZE, FRAMES, RATE = (96, 64), 100, 50.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.results.metrics.fit import Fit, cover_of, frame_fit, outlines
 from bayes_body.results.metrics.plausibility import FEWEST_FRAMES, fit_figures
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences

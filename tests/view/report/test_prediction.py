@@ -10,7 +10,7 @@ import pytest
 
 from bayes_body.model.build import build_model
 from bayes_body.recording.observation.frames import Frame
-from bayes_body.recording.readers.keypoint_series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.results.metrics.fit import projected_masks
 from bayes_body.results.posterior import markers
 from bayes_body.results.storage.manifest import input_digests

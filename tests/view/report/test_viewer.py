@@ -18,7 +18,7 @@ from bayes_body.base.geometry import rotations
 from bayes_body.cli.main import main
 from bayes_body.model.body.solids import part_transforms
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.triangulate import project
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.viewer import page as pages

@@ -15,7 +15,7 @@ from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.images import read_mask
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.readers.truth import read_truth
-from bayes_body.recording.readers.video import probe, read_video_frame
+from bayes_body.recording.readers.videos.video import probe, read_video_frame
 from bayes_body.recording.session.read import load_session
 from bayes_body.workshop.simulation.film import EMPTY_FRAMES
 from bayes_body.workshop.simulation.options import Options

@@ -1,0 +1,226 @@
+"""The subject's keypoints in all frames of one camera, and how the subject is followed among the people that the cameras see.
+
+The keypoints are in an .npz beside a session, with
+
+- `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
+- `names` of the keypoints: those of the layouts (readers/keypoints.py), of the fifteen markers (evidence/markers.py), or others, which are ignored,
+- `first`, the number of the first row's frame in the camera's numbering; 0 if missing.
+
+`choose_person` finds the subject in the first frame. From then on, the subject in a camera is the person nearest to the projection of the previous
+frame's body (with one camera: to the subject's place in the previous frame), if the distance is within a fifth of the person's size. Cameras that do
+not agree with the body of this frame are dropped. If fewer than two cameras remain (with one camera: if no person is near), `choose_person` is called
+again. If that fails too, the people who were near are used. Frames in which every camera sees at most one person, and all clearly the same, are
+decided many at a time (`lone_person`).
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from bayes_body.base.errors import input_error
+from bayes_body.base.files.arrays_file import read_arrays
+from bayes_body.base.files.atomic import make_folder, replacing
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.recording.readers.keypoints.lone_person import lone_bodies
+from bayes_body.recording.readers.keypoints.openpose import FARTHEST_PX, MOST_KEYPOINTS
+from bayes_body.recording.readers.keypoints.person import FEWEST, NEAR, SAME, People, choose_person
+from bayes_body.recording.readers.keypoints.triangulate import reprojection_errors, triangulate
+from bayes_body.recording.session.session import CameraSpec
+
+KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"
+REMEDY = "import the keypoints again, or write it with numpy.savez(path, keypoints=..., names=...)"
+# Names that detectors use for joint centres of a body.
+MARKERS = {"neck": "thorax", "mid_hip": "pelvis"}
+KEPT = 64
+
+
+class KeypointSeries(NamedTuple):
+    """The content of such a file (see the module)."""
+
+    keypoints: Float[np.ndarray, "frame keypoint 3"]
+    names: tuple[str, ...]
+    first: int
+
+    def frame(self, number: int) -> dict[str, tuple[float, float, float]]:
+        """The keypoints found in a frame (camera's numbering), under the marker's name where the keypoint is a marker."""
+        row = number - self.first
+        if not 0 <= row < len(self.keypoints):
+            return {}
+        keypoints = self.keypoints[row]
+        valid = np.isfinite(keypoints).all(axis=1) & (keypoints[:, 2] > 0)
+        points = zip(self.names, keypoints.tolist(), valid.tolist(), strict=True)
+        return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), is_valid in points if is_valid}
+
+
+def write_series(path: Path, series: KeypointSeries) -> None:
+    """Write the file; its folder is created if needed.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    make_folder(path.parent)
+    with replacing(path) as partial:
+        np.savez_compressed(partial, keypoints=series.keypoints.astype(np.float32), names=np.array(series.names), first=np.array(series.first))
+
+
+def read_series(path: Path) -> KeypointSeries:
+    """The keypoints of a file. The most recently read files are cached in memory.
+
+    Raises:
+        InputError: no such file, or malformed.
+    """
+    try:
+        state = path.stat().st_mtime_ns, path.stat().st_size
+    except OSError:
+        state = 0, 0
+    return _read(path, state)
+
+
+@lru_cache(maxsize=KEPT)
+def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
+    del state
+    arrays = read_arrays(path, ("keypoints", "names", "first"), KIND, REMEDY)
+    for key in ("keypoints", "names"):
+        if key not in arrays:
+            raise input_error(path, f"no `{key}`", KIND, REMEDY)
+    names = _names(path, arrays["names"])
+    return KeypointSeries(_points(path, arrays["keypoints"], len(names)), names, _first(path, arrays.get("first", np.array(0))))
+
+
+def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
+    keypoint_names = tuple(str(name) for name in names.ravel()) if names.dtype.kind == "U" and names.ndim == 1 else ()
+    mapped = [MARKERS.get(name, name) for name in keypoint_names]
+    if not 0 < len(keypoint_names) <= MOST_KEYPOINTS or len(set(mapped)) < len(mapped):
+        twice = next((name for name, count in Counter(mapped).items() if count > 1), None)
+        problem = f"'{twice[:40]}' twice" if twice is not None else f"{names.dtype} of shape {names.shape}"
+        raise input_error(f"{path}: names", problem, "unique names of the keypoints", REMEDY)
+    return keypoint_names
+
+
+def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.ndarray, "frame keypoint 3"]:
+    subject = f"{path}: keypoints"
+    if points.ndim != 3 or points.shape[1:] != (count, 3) or points.dtype.kind not in "fiu":
+        raise input_error(subject, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
+    points = points.astype(np.float64)
+    confidence = points[..., 2][np.isfinite(points[..., 2])]
+    if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
+        raise input_error(subject, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
+    pixels = np.abs(points[..., :2])
+    if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
+        raise input_error(subject, "a keypoint far outside any image", "pixels, or NaN where not found", REMEDY)
+    return points
+
+
+def _first(path: Path, first: NDArray[np.generic]) -> int:
+    if first.dtype.kind not in "iu" or first.size != 1:
+        raise input_error(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the number of the first frame", REMEDY)
+    return int(first.ravel()[0])
+
+
+FRAMES_AT_ONCE = 200
+
+# With several cameras: the body's keypoints in the world, metres. With one camera: its keypoints in the image.
+type Body = Float[np.ndarray, "keypoint _"]
+type Places = tuple[int | None, ...]
+
+
+class PersonFollower:
+    """Follow the subject frame by frame, as frames come; it remembers the people and the body of the previous frame.
+
+    Args:
+        cameras: calibrated.
+    """
+
+    def __init__(self, cameras: Sequence[CameraSpec]):
+        self._cameras = cameras
+        self._previous_people: Sequence[Sequence[People]] = ()
+        self._previous_body: Body | None = None
+
+    def follow(self, frames: Sequence[Sequence[People]]) -> list[Places]:
+        """For the next frames: the subject's index in each camera's list of people; None where the subject is not visible.
+
+        Args:
+            frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
+        """
+        bodies = lone_bodies(self._cameras, [*self._previous_people, *frames])[len(self._previous_people) :]
+        self._previous_people = frames[-1:]
+        return [self._choose(people) if body is None else self._take(people, body) for people, body in zip(frames, bodies, strict=True)]
+
+    def _take(self, people: Sequence[People], body: Body) -> Places:
+        """The only person of each camera."""
+        self._previous_body = body
+        return tuple(0 if len(among) else None for among in people)
+
+    def _choose(self, people: Sequence[People]) -> Places:
+        cameras, previous_body = self._cameras, self._previous_body
+        nearest_people = tuple(_nearest(camera, among, previous_body) for camera, among in zip(cameras, people, strict=True))
+        # Triangulation takes most of the time of a frame: if the nearest people are the subject, their body is not computed again.
+        nearest_body = _body(cameras, people, nearest_people, previous_body)
+        subject = _agreeing(cameras, people, nearest_people, nearest_body)
+        if subject is None:
+            chosen = choose_person(cameras, people)
+            subject = nearest_people if chosen is None else chosen.places
+        self._previous_body = nearest_body if subject == nearest_people else _body(cameras, people, subject, previous_body)
+        return subject
+
+
+def follow_person(cameras: Sequence[CameraSpec], frames: Sequence[Sequence[People]], watch: Watch = unwatched) -> list[Places]:
+    """The subject's index in each camera's list of people, for each frame in order (`PersonFollower`).
+
+    Args:
+        cameras: calibrated.
+        frames: for each frame and camera, column, row (pixels; NaN where not visible) and confidence.
+        watch: shows how many batches of frames are done.
+    """
+    follower, places = PersonFollower(cameras), list[Places]()
+    for start in watch(range(0, len(frames), FRAMES_AT_ONCE)):
+        places += follower.follow(frames[start : start + FRAMES_AT_ONCE])
+    return places
+
+
+def _agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], nearest_people: Places, body: Body | None) -> Places | None:
+    """The people who are near and agree with the body that they show; None if too few cameras see it."""
+    if len(cameras) > 1 and _count(nearest_people) > 1:
+        rows = zip(cameras, people, nearest_people, strict=True)
+        nearest_people = tuple(place if place is not None and _error(camera, body, among[place]) <= SAME else None for camera, among, place in rows)
+    return nearest_people if _count(nearest_people) >= min(2, len(cameras)) else None
+
+
+def _count(places: Places) -> int:
+    return sum(place is not None for place in places)
+
+
+def _nearest(camera: CameraSpec, people: People, body: Body | None) -> int | None:
+    errors = [_error(camera, body, person) for person in people]
+    error = min(errors, default=np.inf)
+    return errors.index(error) if error <= NEAR else None
+
+
+def _body(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, previous_body: Body | None) -> Body | None:
+    """The body of this frame. If too little of it is known, the body of the previous frame."""
+    visible = [(camera, among[place]) for camera, among, place in zip(cameras, people, places, strict=True) if place is not None]
+    if len(visible) < min(2, len(cameras)):
+        return previous_body
+    body = (
+        visible[0][1][:, :2]
+        if len(cameras) == 1
+        else triangulate([camera for camera, _ in visible], np.stack([person for _, person in visible])).points_m
+    )
+    return body if np.isfinite(body).all(axis=1).sum() >= FEWEST else previous_body
+
+
+def _error(camera: CameraSpec, body: Body | None, person: Float[np.ndarray, "keypoint 3"]) -> float:
+    """Median distance between a body and a person in the image, as a fraction of the person's size; infinite if they share too few keypoints."""
+    visible = person[np.isfinite(person[:, :2]).all(axis=1), :2]
+    if body is None or len(visible) < FEWEST:
+        return np.inf
+    distances = np.linalg.norm(body - person[:, :2], axis=1) if body.shape[1] == 2 else reprojection_errors([camera], body, person[None])[0]
+    finite_distances = distances[~np.isnan(distances)]
+    size = float(np.linalg.norm(np.ptp(visible, axis=0)))
+    return float(np.median(finite_distances)) / size if len(finite_distances) >= FEWEST and size > 0 else np.inf

@@ -1,0 +1,1 @@
+"""Videos: their pictures, their clocks, and which frames belong together."""
