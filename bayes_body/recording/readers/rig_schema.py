@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from bayes_body.base.toml.schema import Finite, NonNegative, Positive, Schema
+from bayes_body.recording.session.lens import lens_faults
 from bayes_body.recording.session.schema import Far, Rotation, Size
-from bayes_body.recording.session.session import lens_faults
 
 type Point = tuple[Far, Far, Far]
 # Two points nearer than this (metres) give no direction. A view closer to the vertical than this (sine) has no horizontal axis.

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from bayes_body.base.errors import nearest
 from bayes_body.base.toml.schema import Count, Finite, Name, NonNegative, Positive, ProperShare, Schema, Share
-from bayes_body.recording.session.session import lens_faults
+from bayes_body.recording.session.lens import lens_faults
 
 # A larger number is assumed to be in millimetres (or centimetres), not in metres.
 FARTHEST_M = 1000.0

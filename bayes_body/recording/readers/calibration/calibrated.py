@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.faults import Faults
 from bayes_body.recording.readers.file_names import composed
+from bayes_body.recording.session.lens import lens_faults
 from bayes_body.recording.session.schema import rotation_fault
-from bayes_body.recording.session.session import CameraSpec, lens_faults
+from bayes_body.recording.session.session import CameraSpec
 
 # Outside this range a unit is wrong by a factor of 1000: no laboratory has such distances between cameras.
 FARTHEST_M = 100.0

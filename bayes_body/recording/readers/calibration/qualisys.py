@@ -15,10 +15,9 @@ import numpy as np
 
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.recording.readers.calibration.calibrated import Calibrated, calibrated
-from bayes_body.recording.readers.calibration.xml import read_root
-from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.calibration.xml import Format
+from bayes_body.recording.readers.faults import unnoted
 from bayes_body.recording.readers.options import Axis
-from bayes_body.recording.session.schema import MOST_CAMERAS
 
 UP: Axis = "z"
 MM = 1e-3
@@ -40,27 +39,15 @@ def read_qualisys(path: Path, note: Callable[[str], None] = unnoted) -> list[Cal
         InputError: no file, not XML, or no video camera in it.
         FaultyFileError: one sentence for each fault.
     """
-    listed = list(read_root(path, KIND).iter("camera"))
-    elements = [camera for camera in listed if _films(camera)]
-    if not elements:
-        models = ", ".join(sorted({camera.get("model", "?") for camera in listed})) or "none"
-        raise input_error(path, f"no video camera in it, but {models}", KIND, "name the file that the calibration program wrote")
-    if len(elements) > MOST_CAMERAS:
-        raise input_error(path, f"{len(elements)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
-    if left_out := [f"{camera.get('serial', '?')} ({camera.get('model', '?')})" for camera in listed if not _films(camera)]:
-        note(f"{path.name}: {', '.join(left_out[:MOST_CAMERAS])}: cameras for markers, left out.")
-    faults, cameras = Faults(), []
-    for number, element in enumerate(elements, 1):
-        name = element.get("serial", "")
-        with faults.collect():
-            cameras.append(_camera(f"{path}: camera '{name}'" if name else f"{path}: camera #{number}", name, element))
-    faults.raise_any()
-    return cameras
+    return QUALISYS.read(path, note)
 
 
-def _films(camera: ElementTree.Element) -> bool:
-    model = camera.get("model", "none").lower()
-    return model == "none" or any(word in model for word in FILMING)
+def _model(element: ElementTree.Element) -> str:
+    return element.get("model", "?")
+
+
+def _films(model: str) -> bool:
+    return model.lower() in ("?", "none") or any(word in model.lower() for word in FILMING)
 
 
 def _camera(entry: str, name: str, element: ElementTree.Element) -> Calibrated:
@@ -105,3 +92,6 @@ def _number(entry: str, element: ElementTree.Element, key: str, default: float |
 def _no_number(entry: str, element: ElementTree.Element, key: str, text: str | None) -> InputError:
     problem = "missing" if text is None else f"'{text[:40]}'"
     return input_error(f"{entry}: {element.tag} {key}", problem, "a finite number", "restore the file, or export the calibration again")
+
+
+QUALISYS = Format(KIND, "camera", "serial", _model, _films, _camera)

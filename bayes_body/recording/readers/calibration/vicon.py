@@ -15,10 +15,9 @@ import numpy as np
 
 from bayes_body.base.errors import input_error
 from bayes_body.recording.readers.calibration.calibrated import Calibrated, calibrated
-from bayes_body.recording.readers.calibration.xml import read_root
-from bayes_body.recording.readers.faults import Faults, unnoted
+from bayes_body.recording.readers.calibration.xml import Format
+from bayes_body.recording.readers.faults import unnoted
 from bayes_body.recording.readers.options import Axis
-from bayes_body.recording.session.schema import MOST_CAMERAS
 
 UP: Axis = "z"
 MM = 1e-3
@@ -40,30 +39,15 @@ def read_vicon(path: Path, note: Callable[[str], None] = unnoted) -> list[Calibr
         InputError: no file, not XML, or no video camera in it.
         FaultyFileError: one sentence for each fault.
     """
-    elements = list(read_root(path, KIND).iter("Camera"))
-    films = [element for element in elements if _films(element)]
-    if not films:
-        kinds = ", ".join(sorted({_kind(element) for element in elements})) or "none"
-        raise input_error(path, f"no video camera in it, but {kinds}", KIND, "name the file that the calibration program wrote")
-    if len(films) > MOST_CAMERAS:
-        raise input_error(path, f"{len(films)} cameras", f"{KIND} of at most {MOST_CAMERAS}", "restore the file")
-    if left_out := [f"{element.get('DEVICEID', '?')} ({_kind(element)})" for element in elements if not _films(element)]:
-        note(f"{path.name}: {', '.join(left_out[:MOST_CAMERAS])}: cameras for markers, left out.")
-    faults, cameras = Faults(), []
-    for number, element in enumerate(films, 1):
-        name = element.get("DEVICEID", "")
-        with faults.collect():
-            cameras.append(_camera(f"{path}: camera '{name}'" if name else f"{path}: camera #{number}", name, element))
-    faults.raise_any()
-    return cameras
+    return VICON.read(path, note)
 
 
-def _kind(element: ElementTree.Element) -> str:
+def _model(element: ElementTree.Element) -> str:
     return " ".join(dict.fromkeys(text for key in ("SYSTEM", "TYPE", "DISPLAY_TYPE") if (text := element.get(key)))) or "?"
 
 
-def _films(element: ElementTree.Element) -> bool:
-    return any(word in _kind(element).lower() for word in FILMING)
+def _films(model: str) -> bool:
+    return any(word in model.lower() for word in FILMING)
 
 
 def _camera(entry: str, name: str, element: ElementTree.Element) -> Calibrated:
@@ -113,3 +97,6 @@ def _floats(subject: str, texts: list[str], count: int) -> list[float]:
         shown = " ".join(texts)[:40]
         raise input_error(subject, f"'{shown}'" if shown else "missing", f"{count} finite number{'s' * (count > 1)}", "export the calibration again")
     return values
+
+
+VICON = Format(KIND, "Camera", "DEVICEID", _model, _films, _camera)
