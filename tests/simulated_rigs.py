@@ -95,41 +95,6 @@ def write_toml(path: Path, cameras, more="", nested=False) -> Path:
     return path
 
 
-def write_yml(folder: Path, cameras) -> Path:
-    """OpenCV's file of each camera, in millimetres."""
-    folder.mkdir()
-    for camera in cameras:
-        file = cv2.FileStorage(str(folder / f"{camera.name}.yml"), cv2.FILE_STORAGE_WRITE)
-        for key, values in {
-            "K": matrix_of(camera),
-            "dist": np.array(camera.distortion),
-            "R": camera.rotation,
-            "T": 1000 * camera.translation_m,
-        }.items():
-            file.write(key, values)
-        file.release()
-    return folder
-
-
-def write_easymocap(folder: Path, cameras) -> Path:
-    """EasyMocap's intri.yml and extri.yml."""
-    folder.mkdir()
-    inner, outer = (cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE) for name in ("intri.yml", "extri.yml"))
-    for file in (inner, outer):
-        file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
-        for camera in cameras:
-            file.write("", camera.name)
-        file.endWriteStruct()
-    for camera in cameras:
-        inner.write(f"K_{camera.name}", matrix_of(camera))
-        inner.write(f"dist_{camera.name}", np.array([camera.distortion]))
-        outer.write(f"R_{camera.name}", cv2.Rodrigues(camera.rotation)[0])
-        outer.write(f"T_{camera.name}", camera.translation_m[:, None])
-    inner.release()
-    outer.release()
-    return folder
-
-
 def write_qualisys(path: Path, cameras) -> Path:
     """Qualisys's file: pixels times 64, millimetres, the view along -z."""
     lines = ["<?xml version='1.0' encoding='ASCII'?>", "<calibration><cameras>"]
@@ -164,11 +129,4 @@ def write_vicon(path: Path, cameras) -> Path:
             f'ORIENTATION="{x} {y} {z} {w}" POSITION="{place}" VICON_RADIAL2="ViconRadial2 {cx} {cy} {k1} {k2} {k3}"/></KeyFrames></Camera>'
         )
     path.write_text("\n".join([*lines, "</Cameras>"]))
-    return path
-
-
-def write_parsec(path: Path, camera) -> Path:
-    """PARSEC's numbers of one camera, one a line."""
-    rows = [camera.focal_px, camera.centre_px, [camera.skew], camera.distortion, camera.rotation.ravel(), 1000 * camera.translation_m]
-    path.write_text("\n".join(repr(value) for row in [*rows, cv2.Rodrigues(camera.rotation)[0].ravel()] for value in np.ravel(row).tolist()))
     return path

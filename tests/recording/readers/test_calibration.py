@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import simulated_rigs
 
 from bayes_body.base.errors import FaultyFileError, InputError
 from bayes_body.base.geometry.camera import Camera, project, turning_radius
@@ -15,7 +16,9 @@ from bayes_body.recording.readers.calibration.calibrated import Calibrated, cali
 from bayes_body.recording.readers.calibration.opencv import read_opencv
 from bayes_body.recording.readers.calibration.qualisys import read_qualisys
 from bayes_body.recording.readers.calibration.toml import read_calibration_toml
+from bayes_body.recording.readers.calibration.vicon import read_vicon
 from bayes_body.recording.readers.parsec_files import read_calibration
+from bayes_body.recording.session.session import CameraSpec
 
 SIZE = (1280, 960)
 
@@ -48,6 +51,27 @@ def rig() -> list[Lens]:
         distortion = np.array([-0.21 + 0.03 * i, 0.11 - 0.02 * i, 0.004 - 0.001 * i, -0.003 + 0.0015 * i, -0.02 + 0.005 * i])
         lenses.append(Lens(f"cam{i + 1}", K, distortion, R, C))
     return lenses
+
+
+def radial_rig() -> list[Lens]:
+    """The same with lenses that Vicon's format can express: without tangential distortion."""
+    return [lens._replace(distortion=lens.distortion * [1, 1, 0, 0, 1]) for lens in rig()]
+
+
+def specs(lenses: list[Lens]) -> list[CameraSpec]:
+    return [
+        CameraSpec(
+            lens.name,
+            SIZE,
+            tuple(np.diag(lens.K)[:2].tolist()),
+            tuple(lens.K[:2, 2].tolist()),
+            0.0,
+            tuple(lens.distortion.tolist()),
+            lens.R,
+            lens.t_m,
+        )
+        for lens in lenses
+    ]
 
 
 def write_opencv(folder: Path, lenses: list[Lens], suffix: str, vector: bool) -> Path:
@@ -134,6 +158,8 @@ FORMATS = {
     "OpenCV json": lambda folder: read_opencv(write_opencv(folder / "a", rig(), ".json", False), 1e-3),
     "EasyMocap": lambda folder: read_opencv(write_easymocap(folder / "a", rig()), 1.0),
     "Pose2Sim": lambda folder: read_calibration_toml(write_toml(folder / "Calib.toml", rig())),
+    "Caliscope": lambda folder: read_calibration_toml(simulated_rigs.write_toml(folder / "array.toml", specs(rig()), nested=True)),
+    "Vicon": lambda folder: read_vicon(simulated_rigs.write_vicon(folder / "a.xcp", specs(radial_rig()))),
     "Qualisys": lambda folder: read_qualisys(write_qualisys(folder / "a.qca.txt", rig())),
     "Qualisys, part of the sensor": lambda folder: read_qualisys(write_qualisys(folder / "a.qca.txt", rig(), left=320)),
     "PARSEC": lambda folder: [read_calibration(path) for path in write_parsec(folder / "CALIB", rig())],
@@ -150,8 +176,9 @@ def points() -> np.ndarray:
 def test_every_format_is_the_same_rig(kind, tmp_path, points):
     cameras = FORMATS[kind](tmp_path)
     check_rig(kind, cameras)
-    assert [camera.name for camera in cameras] == [lens.name for lens in rig()]
-    for camera, lens in zip(cameras, rig(), strict=True):
+    lenses = radial_rig() if kind == "Vicon" else rig()
+    assert [camera.name for camera in cameras] == [lens.name for lens in lenses]
+    for camera, lens in zip(cameras, lenses, strict=True):
         assert camera.size_px == (None if kind in ("PARSEC", "EasyMocap") else SIZE)
         np.testing.assert_allclose(camera.viewpoint_m, lens.C, atol=1e-8)
         expected = cv2.projectPoints(points, cv2.Rodrigues(lens.R)[0], lens.t_m, lens.K, lens.distortion)[0][:, 0]

@@ -1,58 +1,19 @@
-"""One rig, written as each program writes it: every reader sees the same pictures. And the changes of a calibration that an import makes or names."""
+"""Changes of a calibration that an import makes because its file says so, or names because the pictures have another size."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_rigs import (
-    PORTRAIT,
-    crowd,
-    rig,
-    walk,
-    write_easymocap,
-    write_parsec,
-    write_qualisys,
-    write_recording,
-    write_toml,
-    write_vicon,
-    write_yml,
-)
+from simulated_rigs import crowd, rig, walk, write_recording, write_toml
 
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.agreement.changes import CHANGES, scaled, turned
-from bayes_body.recording.readers.calibration.opencv import read_opencv
-from bayes_body.recording.readers.calibration.qualisys import read_qualisys
-from bayes_body.recording.readers.calibration.toml import read_calibration_toml
-from bayes_body.recording.readers.calibration.vicon import read_vicon
 from bayes_body.recording.readers.check import check_session
 from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.readers.opencv import import_opencv
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.parsec_files import read_calibration
 
-READERS = {
-    "Pose2Sim": lambda folder, cameras: read_calibration_toml(write_toml(folder / "Calib.toml", cameras)),
-    "Caliscope": lambda folder, cameras: read_calibration_toml(write_toml(folder / "array.toml", cameras, nested=True)),
-    "OpenCV": lambda folder, cameras: read_opencv(write_yml(folder / "lab", cameras), 1e-3),
-    "EasyMocap": lambda folder, cameras: read_opencv(write_easymocap(folder / "lab", cameras), 1.0),
-    "Qualisys": lambda folder, cameras: read_qualisys(write_qualisys(folder / "a.qca.txt", cameras)),
-    "Vicon": lambda folder, cameras: read_vicon(write_vicon(folder / "a.xcp", cameras)),
-    "PARSEC": lambda folder, cameras: [read_calibration(write_parsec(folder / f"{camera.name}.cal", camera)) for camera in cameras],
-}
 POINTS = np.random.default_rng(0).uniform([-0.8, -0.8, 0.0], [0.8, 0.8, 2.0], (200, 3))
-
-
-@pytest.mark.parametrize("program", READERS)
-def test_a_rig_is_the_same_through_each_reader(tmp_path, program):
-    cameras = rig(4, PORTRAIT, seed=5)
-    if program == "Vicon":
-        cameras = [replace(camera, distortion=(*camera.distortion[:2], 0.0, 0.0, 0.004)) for camera in cameras]
-    records = READERS[program](tmp_path, cameras)
-    assert [record.name for record in records] == [camera.name for camera in cameras]
-    for record, camera in zip(records, cameras, strict=True):
-        np.testing.assert_allclose(project(record.spec(camera.size_px), POINTS), project(camera, POINTS), atol=0.01)
-
-
 SMALL = (60, 100)
 
 
