@@ -14,6 +14,7 @@ from bayes_body.cli.terminal import say
 from bayes_body.recording.readers.file_names import composed
 
 if TYPE_CHECKING:
+    from bayes_body.recording.readers.options import Options
     from bayes_body.recording.session.session import Session
 
 DEFAULT_MODEL = "deutscher_2005"
@@ -183,13 +184,18 @@ def _import(
         say(f"note: {remark}")
     _compare_cameras(recording, offsets)
     _warn_of_nobody(recording)
-    from bayes_body.recording.readers.import_table import describe_import
-
     picture = draw_first_frame(recording, model, session / "check.png")
     say(f"{size_of(recording)}: {session / FILE_NAME}")
-    for line in describe_import(recording, source, options, source / reader.POSES if hasattr(reader, "POSES") else None):
-        say(line)
+    _print_table(recording, source, options, getattr(reader, "POSES", None))
     say(f"Look at {picture}: the body should cover the person in every view, and the axes should stand where the world's origin is.")
+
+
+def _print_table(session: "Session", source: Path, options: "Options", poses: str | None) -> None:
+    """Tell the user what was read from where, and what was not used. `poses` is the name of the folder in which a program writes keypoints."""
+    from bayes_body.recording.readers.import_table import describe_import
+
+    for line in describe_import(session, source, options, None if poses is None else source / poses):
+        say(line)
 
 
 def _command(verb: str, laboratory: Laboratory) -> Callable[..., None]:
