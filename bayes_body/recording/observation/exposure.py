@@ -63,18 +63,19 @@ def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float
     """Gain and polynomial coefficients; gain 1 and offset 0 if too few values are usable."""
     unchanged = np.eye(1, 1 + terms.shape[1], dtype=np.float32)[0]
     is_unclipped = (x > DARKEST) & (x < BRIGHTEST) & (y > DARKEST) & (y < BRIGHTEST)
-    x, y, terms = x[is_unclipped], y[is_unclipped], terms[is_unclipped]
+    x, y, terms = x[is_unclipped], y[is_unclipped], np.compress(is_unclipped, terms, axis=0)
     if x.size < 10 * terms.shape[1]:
         return unchanged
-    columns = np.column_stack([x, terms])
+    columns, brighter = np.column_stack([x, terms]), y - x
     residual = y - np.median(y / x) * x
     line = unchanged
     for _ in range(ROUNDS):
-        is_inlier = np.abs(residual) <= max(2.5 * 1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
-        used = columns[is_inlier]
+        np.abs(residual, out=residual)
+        is_inlier = residual <= max(2.5 * 1.4826 * float(np.median(residual)), LEAST_SPREAD)
+        used = np.compress(is_inlier, columns, axis=0)
         # A weak prior (gain 1, offset 0) determines what an image of one colour leaves open.
         normal = used.T @ used + np.eye(used.shape[1], dtype=np.float32)
-        line = unchanged + np.linalg.solve(normal, used.T @ (y[is_inlier] - x[is_inlier])).astype(np.float32)
+        line = unchanged + np.linalg.solve(normal, used.T @ brighter[is_inlier]).astype(np.float32)
         residual = y - columns @ line
     return line if 1 / STRONGEST_GAIN < line[0] < STRONGEST_GAIN else unchanged
 
@@ -89,7 +90,8 @@ def colour_bins(image: UInt8[np.ndarray, "*pixels channel"]) -> Int[np.ndarray, 
     """The bin of each pixel's colour: one number for all its channels."""
     bins = np.zeros(image.shape[:-1], np.int32)
     for channel in np.moveaxis(image, -1, 0):
-        bins = bins * BINS + channel.astype(np.int32) * BINS // 256
+        bins *= BINS
+        bins += channel // (256 // BINS)
     return bins
 
 
