@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from bayes_body.base.geometry.camera import Camera, Pixels
-from bayes_body.recording.evidence.silhouette_edges import Lookup, Packed, look_up, pack
+from bayes_body.recording.evidence.silhouette_edges import Levels, Lookup, Packed, look_up, quantised
 
 # The order of the maps of a camera.
 INSIDE, BAND, EDGES = range(3)
@@ -31,14 +31,14 @@ class RegionMaps(NamedTuple):
     nats: Float[Array | np.ndarray, " map"]
 
 
-def pack_log_ratios(log_ratios: NDArray[np.floating], largest: float, shape: tuple[int, int]) -> NDArray[np.uint32]:
-    """Pack a map (row, column) of log-ratios of at most `largest`, padded to `shape`, the largest (rows, columns)."""
-    return pack(NEUTRAL + log_ratios * (127 / 255 / largest), NEUTRAL, shape)
+def quantised_log_ratios(log_ratios: NDArray[np.floating], largest: float, shape: tuple[int, int]) -> Levels:
+    """A map (row, column) of log-ratios of at most `largest`, in 8 bits, padded to `shape`, the largest (rows, columns)."""
+    return quantised(NEUTRAL + log_ratios * (127 / 255 / largest), NEUTRAL, shape)
 
 
-def unseen(shape: tuple[int, int]) -> NDArray[np.uint32]:
+def unseen(shape: tuple[int, int]) -> Levels:
     """The map of a camera that did not see the frame."""
-    return pack(np.empty((0, 0), np.float32), NEUTRAL, shape)
+    return quantised(np.empty((0, 0), np.float32), NEUTRAL, shape)
 
 
 def nats_of(largest: float) -> float:

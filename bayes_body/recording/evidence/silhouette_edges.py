@@ -11,13 +11,15 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int, UInt8, UInt32
 from numpy.typing import NDArray
 
 from bayes_body.base.geometry.camera import Camera, Pixels
 
 type Lookup = Literal["nearest", "bilinear"]
-type Packed = UInt32[Array | np.ndarray, "camera map row column"]
+# Levels have a row and a column more than words.
+type Levels = UInt8[np.ndarray, "*maps row column"]
+type Packed = UInt32[Array | np.ndarray, "*maps row column"]
 
 BORDER = 1
 _OUTSIDE = -9.0
@@ -40,16 +42,34 @@ class SilhouetteEdgeMaps(NamedTuple):
     points: Float[Array | np.ndarray, "camera point 2"]
 
 
-def pack(values: NDArray[np.floating], outside: float, shape: tuple[int, int]) -> NDArray[np.uint32]:
-    """Pack a map (row, column) of values in [0, 1], with a border of `outside`, padded with it to `shape`, the largest (rows, columns)."""
-    rows, columns = (extent + 2 * BORDER for extent in shape)
-    level = np.full((rows + 1, columns + 1), round(outside * 255), np.uint8)
-    inner = level[BORDER : BORDER + values.shape[0], BORDER : BORDER + values.shape[1]]
-    np.add(np.clip(values, 0, 1) * 255, 0.5, out=inner, casting="unsafe")
-    words = np.empty((rows, columns, 4), np.uint8)
-    for byte, neighbour in enumerate((level[:-1, :-1], level[:-1, 1:], level[1:, :-1], level[1:, 1:])):
-        words[:, :, byte] = neighbour
-    return words.view("<u4")[:, :, 0].astype(np.uint32, copy=False)
+def quantised(
+    values: NDArray[np.floating], outside: float, shape: tuple[int, int], corner: tuple[int, int] = (0, 0), size: tuple[int, ...] | None = None
+) -> Levels:
+    """A map (row, column) of values in [0, 1], in 8 bits, with a border of `outside`, padded with it to `shape`, the largest (rows, columns).
+
+    If the values are only those of a part of an image of `size` (rows, columns), which begins at `corner`, the others are 1.
+    """
+    levels = np.full([extent + 2 * BORDER + 1 for extent in shape], round(outside * 255), np.uint8)
+    image = levels[tuple(slice(BORDER, BORDER + extent) for extent in size or values.shape)]
+    if size is not None:
+        image[...] = 255
+    scaled = np.clip(values, 0, 1) * 255
+    scaled += 0.5
+    image[tuple(slice(first, first + extent) for first, extent in zip(corner, values.shape, strict=True))] = scaled
+    return levels
+
+
+def pack(levels: Levels) -> Packed:
+    """Pack the levels of a stack of maps, on the default device: only a quarter of the bytes goes there."""
+    return _words(levels)
+
+
+@jax.jit
+def _words(levels: Array) -> Array:
+    words = levels.astype(jnp.uint32)
+    left, right = words[..., :-1], words[..., 1:]
+    above, below = left | (right << 8), (left << 16) | (right << 24)
+    return above[..., :-1, :] | below[..., 1:, :]
 
 
 def look_up(

@@ -14,12 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import Count, Positive, Schema
 from bayes_body.recording.evidence.image_motion import LEVELS, ImageMotion, random_places, stratified
-from bayes_body.recording.evidence.silhouette_edges import pack
+from bayes_body.recording.evidence.silhouette_edges import Levels, pack, quantised
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.observation.pictures import Greys
 
@@ -68,12 +67,12 @@ class Options(Schema):
 
 @register("observation", "image_motion", Options)
 def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
-    """Pack the pictures of a frame and of the frame before, as NumPy arrays. A frame without `before` has no pair."""
+    """Pack the pictures of a frame and of the frame before. A frame without `before` has no pair."""
 
-    def packed(image: Greys | None, shape: tuple[int, int]) -> NDArray[np.uint32]:
+    def levels_of(image: Greys | None, shape: tuple[int, int]) -> Levels:
         empty_picture = np.empty((0, 0), np.float32)
         picture = empty_picture if image is None else cv2.GaussianBlur(image.astype(np.float32), (0, 0), options.smooth_px) / np.float32(LEVELS)
-        return pack(np.asarray(picture, np.float32), 0.0, shape)
+        return quantised(np.asarray(picture, np.float32), 0.0, shape)
 
     def observe(frame: Frame) -> ImageMotion:
         earlier = frame.before
@@ -91,7 +90,7 @@ def build(options: Options, **_: Any) -> Callable[[Frame], ImageMotion]:
         pictures = [(*pair, _background(*pair, moved)) for pair, moved in zip(pairs, moves, strict=True)]
         places = random_places(*options.samples, frame.index) if options.random else stratified(*options.samples)
         return ImageMotion(
-            np.stack([np.stack([packed(image, frame.largest) for image in three]) for three in pictures]),
+            pack(np.stack([np.stack([levels_of(image, frame.largest) for image in three]) for three in pictures])),
             rotations,
             translations,
             places.astype(np.float32),

@@ -30,7 +30,8 @@ from pydantic import Field
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema
-from bayes_body.recording.evidence.regions import RegionMaps, nats_of, pack_log_ratios, unseen
+from bayes_body.recording.evidence.regions import RegionMaps, nats_of, quantised_log_ratios, unseen
+from bayes_body.recording.evidence.silhouette_edges import Levels, pack
 from bayes_body.recording.observation.frames import Frame, masks_of
 from bayes_body.recording.observation.silhouette_edges import distance_to, edges, smooth_silhouette
 
@@ -62,22 +63,22 @@ class Options(Schema):
 
 @register("observation", "regions", Options)
 def build(options: Options, **_: Any) -> Callable[[Frame], RegionMaps]:
-    """Compute the likelihood's maps from a frame's images and masks, as NumPy arrays."""
+    """Compute the likelihood's maps from a frame's images and masks."""
     foreground = [_log_odds(p, options.elsewhere) for p in (options.inside, options.band)]
     farthest = (options.edge_limit_px / options.edge_scale_px) ** 2
     largest = [*(max(abs(log_odds) for log_odds in pair) for pair in foreground), max(options.edge_elsewhere, farthest - options.edge_elsewhere)]
 
-    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
+    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
         S = smooth_silhouette(mask, options.smooth_px)
         ratios: list[NDArray[np.floating]] = [S * np.float32(if_seen) + (1 - S) * np.float32(if_not) for if_seen, if_not in foreground]
         ratios.append(np.float32(options.edge_elsewhere) - squared_edge_distance(image, mask, options))
-        return np.stack([pack_log_ratios(ratio, most, shape) for ratio, most in zip(ratios, largest, strict=True)])
+        return np.stack([quantised_log_ratios(ratio, most, shape) for ratio, most in zip(ratios, largest, strict=True)])
 
     def observe(frame: Frame) -> RegionMaps:
         empty_maps = np.stack([unseen(frame.largest)] * 3)
         pairs = zip(frame.images, masks_of(frame), strict=True)
         stacks = [empty_maps if image is None or mask is None else maps_of(image, mask, frame.largest) for image, mask in pairs]
-        return RegionMaps(np.stack(stacks), np.array([nats_of(most) for most in largest], np.float32))
+        return RegionMaps(pack(np.stack(stacks)), np.array([nats_of(most) for most in largest], np.float32))
 
     return observe
 

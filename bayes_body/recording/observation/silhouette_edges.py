@@ -8,7 +8,9 @@ distances, an arm five pixels wide agrees with its silhouette as fully as a tors
 Points are spread over a silhouette so that a limb gets points in proportion to its length. By area, a torso would get most of them, and an arm few.
 """
 
+import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Literal
 
 import cv2
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
-from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, SilhouetteEdgeMaps, pack
+from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, Levels, SilhouetteEdgeMaps, pack, quantised
 from bayes_body.recording.observation.frames import Frame, masks_of
 
 
@@ -27,11 +29,12 @@ def local_thickness(mask: Bool[np.ndarray, "row column"]) -> Float[np.ndarray, "
     # Add a border of background: a silhouette cut by the image's edge counts as thick as its visible part.
     inside = cv2.distanceTransform(np.pad(mask.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
     thickness = inside.copy()
-    rows, columns = np.nonzero(_ridge(inside))
+    rows, columns = np.nonzero(_uncovered(inside, _ridge(inside)))
     radii = inside[rows, columns]
-    for k in np.argsort(radii):
-        # Draw smaller discs first, so that larger ones overwrite them.
-        cv2.circle(thickness, (int(columns[k]), int(rows[k])), int(radii[k]), float(radii[k]), cv2.FILLED)
+    # Draw smaller discs first, so that larger ones overwrite them.
+    order = np.argsort(radii)
+    for column, row, radius in zip(columns[order].tolist(), rows[order].tolist(), radii[order].tolist(), strict=True):
+        cv2.circle(thickness, (column, row), int(radius), radius, cv2.FILLED)
     return np.where(mask, thickness, 0).astype(np.float32)
 
 
@@ -41,6 +44,13 @@ def _ridge(inside: Float[np.ndarray, "row column"]) -> Bool[np.ndarray, "row col
     is_ridge_of_row = (inside >= wide[1:-1, :-2]) & (inside >= wide[1:-1, 2:])
     is_ridge_of_column = (inside >= wide[:-2, 1:-1]) & (inside >= wide[2:, 1:-1])
     return (inside > 0) & (is_ridge_of_row | is_ridge_of_column)
+
+
+def _uncovered(inside: Float[np.ndarray, "row column"], ridge: Bool[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    """The pixels of a ridge whose disc is not within that of a neighbour on the ridge: a whole radius more contains it. Most discs are within one."""
+    radius = np.pad(np.where(ridge, inside.astype(np.int32), 0), 1)
+    largest = np.maximum.reduce([radius[1:-1, :-2], radius[1:-1, 2:], radius[:-2, 1:-1], radius[2:, 1:-1]])
+    return ridge & (largest <= radius[1:-1, 1:-1])
 
 
 def spread_points(mask: Bool[np.ndarray, "row column"], count: int) -> Float[np.ndarray, "point 2"]:
@@ -66,14 +76,23 @@ def spread_points(mask: Bool[np.ndarray, "row column"], count: int) -> Float[np.
 
 def _place_on_curve(rows: Int[np.ndarray, " pixel"], columns: Int[np.ndarray, " pixel"]) -> Int[np.ndarray, " pixel"]:
     """The position of each pixel on the curve of Morton (1966), which fills quadrant after quadrant: the interleaved bits of row and column."""
-    place = np.zeros_like(rows)
-    for bit in range(int(max(rows.max(), columns.max())).bit_length()):
-        place |= ((columns >> bit & 1) << 2 * bit) | ((rows >> bit & 1) << 2 * bit + 1)
-    return place
+    spread = _spread_bits(1 << int(max(rows.max(), columns.max())).bit_length())
+    return spread[columns] | (spread[rows] << 1)
+
+
+@lru_cache(4)
+def _spread_bits(count: int) -> Int[np.ndarray, " number"]:
+    """The numbers below a count with a zero in front of each of their bits."""
+    numbers, spread = np.arange(count), np.zeros(count, int)
+    for bit in range(count.bit_length()):
+        spread |= (numbers >> bit & 1) << 2 * bit
+    return spread
 
 
 # Pieces of a figure are at most this share of the image's longer side apart.
 GAP = 0.01
+# At so many standard deviations, closeness rounds to none in a map of 8 bits; OpenCV's distances are up to 5 % short.
+FARTHEST = 4.0
 
 
 class Options(Schema):
@@ -119,8 +138,7 @@ def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) 
 def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
     """Where the gradient of an image (row, column) exceeds `threshold`, grey levels per pixel: (row, column)."""
     # On a ramp of one level per pixel, Sobel's mask gives 8.
-    magnitude = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-    return magnitude > threshold
+    return cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) > 8 * threshold
 
 
 def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.float32]:
@@ -139,6 +157,16 @@ def closeness(distance: NDArray[np.float32], scale_px: float) -> NDArray[np.floa
     return np.exp(-0.5 * (distance / scale_px) ** 2)
 
 
+def surroundings(mask: NDArray[np.bool_], reach_px: float) -> tuple[slice, slice]:
+    """Rows and columns of a mask's (row, column) smallest box, enlarged by `reach_px` on all sides; everything if the mask is empty."""
+    first_column, first_row, columns, rows = cv2.boundingRect(mask.view(np.uint8))
+    if not rows:
+        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+    # Filters and approximate distances need two more pixels.
+    margin = math.ceil(reach_px) + 2
+    return slice(max(first_row - margin, 0), first_row + rows + margin), slice(max(first_column - margin, 0), first_column + columns + margin)
+
+
 def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest connected part of a mask (row, column), with the pieces that a narrow gap separates from it."""
     reach = max(1, round(GAP * max(mask.shape)))
@@ -150,12 +178,13 @@ def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 @register("observation", "silhouette_edges", Options)
 def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
-    """Compute the likelihood's maps from a frame's images and masks, as NumPy arrays.
+    """Compute the likelihood's maps from a frame's images and masks.
 
     Args:
         options: options of the maps.
         likelihood: the options of the likelihood that reads them. If it has the term "cover", its `cover_points` are used.
     """
+    farthest = FARTHEST * max(options.silhouette_smooth_px, options.edge_smooth_px) + options.edges_within_px
     count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
 
     def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
@@ -167,13 +196,16 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         edge_pixels = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
         return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(edge_pixels), options.edge_smooth_px)
 
-    values_of = by_distance if options.proximity == "distance" else by_density
-
-    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.uint32]:
-        return np.stack([pack((1 - value) ** 2, options.unseen_error, shape) for value in values_of(image, mask)])
+    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
+        if options.proximity == "density":
+            return np.stack([quantised((1 - value) ** 2, options.unseen_error, shape) for value in by_density(image, mask)])
+        box = surroundings(mask, farthest)
+        corner = box[0].start, box[1].start
+        values = by_distance(image[box], mask[box])
+        return np.stack([quantised((1 - value) ** 2, options.unseen_error, shape, corner, mask.shape) for value in values])
 
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
-        unseen = pack(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
+        unseen = quantised(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
         stacks, shares, points = [], [], []
         for image, mask in zip(frame.images, masks_of(frame), strict=True):
             if image is None or mask is None:
@@ -182,8 +214,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
                 points.append(np.zeros((count, 2), np.float32))
             else:
                 stacks.append(maps_of(image, mask, frame.largest))
-                shares.append((largest_figure(mask) if options.area_of == "largest" else mask).mean())
+                shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / mask.size)
                 points.append(spread_points(mask, count))
-        return SilhouetteEdgeMaps(np.stack(stacks), np.array(shares, np.float32), np.stack(points))
+        return SilhouetteEdgeMaps(pack(np.stack(stacks)), np.array(shares, np.float32), np.stack(points))
 
     return observe

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_body.base.geometry.camera import Camera, Pixels
-from bayes_body.recording.evidence.silhouette_edges import EDGES, SILHOUETTE, look_up, pack
+from bayes_body.recording.evidence.silhouette_edges import EDGES, SILHOUETTE, look_up, pack, quantised
 
 OUTSIDE = 0.5
 # (rows, columns) of two cameras' images: the second is smaller both ways.
@@ -55,7 +55,7 @@ def slopes_at(maps, which, kind, cameras, pixels):
 def look(kind, u, v, visible=True, which=SILHOUETTE, function=values_at):
     """Values of both cameras at the same pixels, (camera, point), or another function of what is looked up there."""
     largest = tuple(max(extent) for extent in zip(*SHAPES, strict=True))
-    maps = jnp.asarray(np.stack([np.stack([pack(one, OUTSIDE, largest) for one in camera]) for camera in values()]))
+    maps = pack(np.stack([np.stack([quantised(one, OUTSIDE, largest) for one in camera]) for camera in values()]))
     u, v = (jnp.asarray(np.broadcast_to(axis, (2, 1, np.size(axis))), float) for axis in (u, v))
     seen = jnp.asarray(np.broadcast_to(visible, u.shape))
     return function(maps, jnp.asarray(np.full(u.shape[-1], which)), kind, rig(), Pixels(u, v, seen))
@@ -98,7 +98,7 @@ def test_bilinear_is_interpolation_by_hand(camera):
 
 
 def test_values_between_levels_are_rounded():
-    packed = pack(np.array([[0.0, 0.31, 1.0, 1.7, -0.2]]), 0.0, (1, 5))
+    packed = pack(quantised(np.array([[0.0, 0.31, 1.0, 1.7, -0.2]]), 0.0, (1, 5)))
     assert (packed[1, 1:6] & 255).tolist() == [0, round(0.31 * 255), 255, 255, 0]
 
 
