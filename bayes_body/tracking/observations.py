@@ -1,13 +1,19 @@
-"""The data of frames, read ahead of the filter that needs them: forwards, or backwards for a smoother."""
+"""The data of frames, read ahead of the filter that needs them: forwards, or backwards for a smoother.
 
-from collections.abc import Callable, Generator, Sequence
+One thread reads frame after frame, all cameras at once. Others compute the silhouettes and maps of several frames at once, and send them to the
+device.
+"""
+
+from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayes_body.kernels.batching import everywhere
 from bayes_body.model.build import Model
-from bayes_body.recording.observation.frames import cameras_with_picture, frame_of_keypoints, prefetch, read_frame
+from bayes_body.recording.observation.frames import Frame, cameras_with_picture, frame_of_keypoints, read_frame
+from bayes_body.recording.observation.prefetch import prefetch, threads_for_work
 from bayes_body.recording.session.session import Keypoints, Session
 
 # Number of frames that are read forwards and then yielded backwards: a video cannot be read backwards.
@@ -23,7 +29,7 @@ class Observed(NamedTuple):
 
 
 def observations(session: Session, model: Model, frames: range) -> Generator[Observed]:
-    """Yield the data of each frame; a background thread reads the next one.
+    """Yield the data of each frame; background threads prepare the next ones.
 
     For a model that reads no pictures, none is decoded: a camera sees a frame if its file exists or its video is long enough. A picture that is
     damaged or shows nothing makes no difference to such a model, whose keypoints are those of the session.
@@ -31,14 +37,17 @@ def observations(session: Session, model: Model, frames: range) -> Generator[Obs
     Raises:
         InputError: a frame cannot be read.
     """
-    return prefetch(frames, lambda index: _observe(session, model, index))
+
+    def visibility(index: int) -> Sequence[bool] | None:
+        return None if model.reads_pictures else cameras_with_picture(session, index)
+
+    return prefetch(_read(session, model, ([index] for index in frames), visibility), lambda frame: _observed(session, model, frame))
 
 
 def observations_backwards(session: Session, model: Model, last: int, visibility: Callable[[int], Sequence[bool]]) -> Generator[Observed]:
     """Yield the data of each frame from `last` to the first, as `observations` does. `visibility` says which cameras have an image of a frame."""
-    pieces = [range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE)]
-    for piece in prefetch(pieces, lambda some: [_observe(session, model, index, visibility(index)) for index in some]):
-        yield from reversed(piece)
+    pieces = (range(max(stop - PIECE, 0), stop) for stop in range(last + 1, 0, -PIECE))
+    return prefetch(_read(session, model, pieces, visibility), lambda frame: _observed(session, model, frame))
 
 
 def observe_keypoints(session: Session, model: Model, index: int, keypoints: tuple[Keypoints | None, ...]) -> Observed:
@@ -54,9 +63,16 @@ def observe_keypoints(session: Session, model: Model, index: int, keypoints: tup
     return Observed(np.array(frame.seen), everywhere(model.observe(frame)), None)
 
 
-def _observe(session: Session, model: Model, index: int, visibility: Sequence[bool] | None = None) -> Observed:
-    if visibility is None and not model.reads_pictures:
-        visibility = cameras_with_picture(session, index)
-    frame = read_frame(session, index, model.reads_before, visibility)
+def _read(session: Session, model: Model, pieces: Iterable[Sequence[int]], visibility: Callable[[int], Sequence[bool] | None]) -> Generator[Frame]:
+    """Yield the frames of each piece, which is read forwards, from its last to its first."""
+    with ThreadPoolExecutor(min(threads_for_work(), len(session.views)), thread_name_prefix="prefetch-video") as threads:
+        at_once = threads if model.reads_pictures else None
+        for piece in pieces:
+            frames = [read_frame(session, index, model.reads_before, visibility(index), at_once) for index in piece]
+            while frames:
+                yield frames.pop()
+
+
+def _observed(session: Session, model: Model, frame: Frame) -> Observed:
     factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
     return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)

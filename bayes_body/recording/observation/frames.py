@@ -1,15 +1,16 @@
-"""A session's frames: what all cameras saw at one instant; and reading ahead of the consumer."""
+"""A session's frames: what all cameras saw at one instant."""
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple, overload
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.observation.pictures import check_index, has_picture, read_colour, read_greys
+from bayes_body.recording.observation.pictures import Colours, Greys, check_index, has_picture, read_colour, read_greys
 from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.readers.camera_path import cameras_at
@@ -68,7 +69,9 @@ def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
     return frame.masks
 
 
-def read_frame(session: Session, index: int, with_before: bool = False, seen: Sequence[bool] | None = None) -> Frame:
+def read_frame(
+    session: Session, index: int, with_before: bool = False, seen: Sequence[bool] | None = None, at_once: ThreadPoolExecutor | None = None
+) -> Frame:
     """Read frame `index` of a session, counted from 0.
 
     Args:
@@ -76,24 +79,26 @@ def read_frame(session: Session, index: int, with_before: bool = False, seen: Se
         index: the frame.
         with_before: whether to read the frame before too. The first frame has none.
         seen: which cameras have an image of it, if that is known. Images that nothing asks for are not read then.
+        at_once: threads that read the cameras' pictures at once, and now: those of videos too that may not be asked for. Frames that are not used
+            in their order must be read like this, because a video is read onwards.
 
     Raises:
         InputError: no such frame, not a video, an image of a wrong size, unreadable keypoints, or an unreadable path of a camera.
     """
     check_index(session, index)
     # First, because a video is read onwards.
-    previous_frame = read_frame(session, index - 1) if with_before and index else None
-    if seen is None:
-        images = tuple(read_greys(session, index, view) for view in session.views)
-        have_image = tuple(image is not None for image in images)
-    else:
-        have_image = tuple(seen)
-        images = _images(session, index, have_image)
+    previous_frame = read_frame(session, index - 1, at_once=at_once) if with_before and index else None
+    pictures = [_Picture(session, index, view) for view in session.views]
+    wanted = [seen is None or (at_once is not None and seen[number] and view.video is not None) for number, view in enumerate(session.views)]
+    greys = list((map if at_once is None else at_once.map)(lambda picture, is_wanted: picture.grey if is_wanted else None, pictures, wanted))
+    have_image = tuple(grey is not None for grey in greys) if seen is None else tuple(seen)
+    seen_pictures = [picture if has_image else None for picture, has_image in zip(pictures, have_image, strict=True)]
+    images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints = _keypoints(session, index, have_image)
     if not has_silhouettes(session):
         return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
-    silhouettes = [_Silhouette(session, index, view, has_image) for view, has_image in zip(session.views, have_image, strict=True)]
+    silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
@@ -116,15 +121,6 @@ def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
     return tuple(has_picture(session, index, view) for view in session.views)
 
 
-def _images(session: Session, index: int, have_image: Sequence[bool]) -> Sequence[NDArray[np.uint8] | None]:
-    """Return the images of the cameras that see the frame, each read on first access."""
-
-    def image_of(view: View) -> Callable[[], NDArray[np.uint8] | None]:
-        return lru_cache(1)(lambda: read_greys(session, index, view))
-
-    return _OnDemand([image_of(view) if has_image else lambda: None for view, has_image in zip(session.views, have_image, strict=True)])
-
-
 def _keypoints(session: Session, index: int, have_image: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
     paths = [session.keypoints_path(view) for view in session.views]
     if not any(paths):
@@ -133,15 +129,32 @@ def _keypoints(session: Session, index: int, have_image: Sequence[bool]) -> tupl
     return tuple(read_series(path).frame(k) if path and has_image else None for path, k, has_image in zip(paths, numbers, have_image, strict=True))
 
 
+class _Picture:
+    """A camera's picture, read on first access. A video's frame is decoded once, for its grey values and for its silhouette."""
+
+    def __init__(self, session: Session, index: int, view: View):
+        self._session, self._index, self._view = session, index, view
+
+    @cached_property
+    def colour(self) -> Colours | None:
+        return read_colour(self._session, self._index, self._view)
+
+    @cached_property
+    def grey(self) -> Greys | None:
+        if self._session.video_path(self._view) is None:
+            return read_greys(self._session, self._index, self._view)
+        return None if self.colour is None else np.asarray(cv2.cvtColor(self.colour, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
 class _Silhouette:
     """The silhouette in a camera's image, computed on first access."""
 
-    def __init__(self, session: Session, index: int, view: View, has_image: bool):
-        self._session, self._index, self._view, self._has_image = session, index, view, has_image
+    def __init__(self, session: Session, index: int, view: View, picture: _Picture | None):
+        self._session, self._index, self._view, self._picture = session, index, view, picture
 
     @cached_property
     def mask(self) -> NDArray[np.bool_] | None:
-        if not self._has_image:
+        if self._picture is None:
             return None
         path = self._session.mask_path(self._view, self._index)
         if path is None:
@@ -159,7 +172,7 @@ class _Silhouette:
 
     @cached_property
     def _levels(self) -> NDArray[np.uint8] | None:
-        image = read_colour(self._session, self._index, self._view) if self._has_image else None
+        image = None if self._picture is None else self._picture.colour
         return None if image is None else silhouette_levels(self._session, self._view, image)
 
 
@@ -178,23 +191,3 @@ class _OnDemand[Item](Sequence[Item]):
     def __getitem__(self, index: slice) -> Sequence[Item]: ...
     def __getitem__(self, index: int | slice) -> Item | Sequence[Item]:
         return _OnDemand(self._make[index]) if isinstance(index, slice) else self._make[index]()
-
-
-def prefetch[Item, Result](items: Iterable[Item], function: Callable[[Item], Result]) -> Generator[Result, None, None]:
-    """Yield `function(item)` for each item, in order. A background thread computes the next one while the consumer works on this one.
-
-    An exception in the function or in `items` is raised when its item's turn comes. If the consumer stops early, it waits for the item in progress.
-    """
-    remaining = iter(items)
-    end = object()
-
-    def following() -> Result | object:
-        # A StopIteration cannot pass through a future into a generator.
-        item = next(remaining, end)
-        return end if item is end else function(item)  # pyright: ignore[reportArgumentType]
-
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="prefetch") as pool:
-        pending = pool.submit(following)
-        while (result := pending.result()) is not end:
-            pending = pool.submit(following)
-            yield result  # pyright: ignore[reportReturnType]

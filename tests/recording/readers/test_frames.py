@@ -13,8 +13,9 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
 from bayes_body.recording.observation import frames
-from bayes_body.recording.observation.frames import Frame, cameras_with_picture, prefetch, read_frame
+from bayes_body.recording.observation.frames import Frame, cameras_with_picture, read_frame
 from bayes_body.recording.observation.pictures import read_colour
+from bayes_body.recording.observation.prefetch import prefetch
 from bayes_body.recording.readers.parsec import import_parsec
 from bayes_body.results.metrics.fit import frame_fit
 from bayes_body.tracking.observations import observations
