@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 
-from bayes_body.recording.observation.exposure import Exposure, colour_bins, colour_histogram, fit_exposure
+from bayes_body.recording.observation.exposure import Exposure, colour_bins, colour_histogram, fit_exposure, squared_length
 from bayes_body.recording.observation.pictures import Colours
 
 type Stack = UInt8[np.ndarray, "frame row column 3"]
@@ -74,7 +74,7 @@ def most_frequent(stack: Stack) -> Float[np.ndarray, "row column 3"]:
 
 
 def _alike(stack: Stack, colour: NDArray[np.float32]) -> NDArray[np.bool_]:
-    return np.stack([((image - colour) ** 2).sum(axis=-1) < SAME_COLOUR**2 for image in stack])
+    return np.stack([squared_length(image - colour) < SAME_COLOUR**2 for image in stack])
 
 
 def _filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -87,7 +87,7 @@ def _choose(stack: Stack, colour: NDArray[np.float32], changing: NDArray[np.bool
     """The background's colours, (row, column, 3), and where they are doubtful."""
     bins, samples = colour_bins(stack), stack[:, changing].astype(np.float32)
     centres, members = _modes(samples)
-    unexpected = ((centres - _expected(colour, changing)[changing]) ** 2).sum(axis=-1) / (2 * EXPECTED_SD**2)
+    unexpected = squared_length(centres - _expected(colour, changing)[changing]) / (2 * EXPECTED_SD**2)
     belief = np.exp(-np.minimum(unexpected, EXPECTED_MOST))
     depth = cv2.distanceTransform(changing.astype(np.uint8), cv2.DIST_L2, 3)[changing]
     rim = depth < RIM * depth.max()
@@ -98,7 +98,7 @@ def _choose(stack: Stack, colour: NDArray[np.float32], changing: NDArray[np.bool
         weights = np.exp(np.stack([cv2.blur(ratio[indices], (3, 3)) for indices in bins])[:, changing])
         heaviest = np.argmax(belief * [(weights * (members == mode)).sum(axis=0) for mode in range(MODES)], axis=0)
         chosen = centres[heaviest, np.arange(centres.shape[1])]
-        outliers = rim & (((samples - chosen) ** 2).sum(axis=-1) >= SAME_COLOUR**2)
+        outliers = rim & (squared_length(samples - chosen) >= SAME_COLOUR**2)
         if not outliers.any():
             break
         person = colour_histogram(bins[:, changing][outliers], 3)
@@ -117,7 +117,7 @@ def _modes(samples: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
     centres, counts = np.full((MODES, pixels, 3), 1e4, np.float32), np.zeros((MODES, pixels), np.float32)
     members, every = np.full((frames, pixels), -1, np.int8), np.arange(pixels)
     for frame, values in enumerate(samples):
-        distance = ((centres - values) ** 2).sum(axis=-1)
+        distance = squared_length(centres - values)
         mode = distance.argmin(axis=0)
         # A new colour replaces the one that was seen least.
         new = np.flatnonzero(distance[mode, every] > SAME_MODE**2)
@@ -184,9 +184,7 @@ def learn_background(images: Sequence[Colours], follow_exposure: bool) -> Backgr
     colours = [_channels(image) for image in images]
     first, _ = _moments(colours, masks)
     # Small images mix neighbouring pixels: at edges, some pixels that they call background are not.
-    agreeing = [
-        mask & (((image - first) ** 2).sum(axis=-1, keepdims=True) < (1.5 * SAME_COLOUR) ** 2) for image, mask in zip(colours, masks, strict=True)
-    ]
+    agreeing = [mask & (squared_length(image - first)[..., None] < (1.5 * SAME_COLOUR) ** 2) for image, mask in zip(colours, masks, strict=True)]
     mean, sd = _moments(colours, agreeing, first)
     doubtful = cv2.resize(shown.doubtful.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     return Background(mean, np.maximum(sd, LEAST_SD), doubtful)

@@ -27,6 +27,8 @@ DARKEST, BRIGHTEST = 4, 250
 STRONGEST_GAIN = 3.0
 # If fewer pixels are within `AGREEING` grey levels of the fit, the image shows something else, or nothing.
 LEAST_SHARE, AGREEING = 0.5, 20.0
+# Adds three channels.
+SUM = np.ones((1, 3), np.float32)
 # The slowly varying part is computed at so many points per side.
 GRID = 16
 
@@ -78,6 +80,13 @@ def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float
         line = unchanged + np.linalg.solve(normal, used.T @ brighter[is_inlier]).astype(np.float32)
         residual = y - columns @ line
     return line if 1 / STRONGEST_GAIN < line[0] < STRONGEST_GAIN else unchanged
+
+
+def squared_length(differences: Float[np.ndarray, "row column channel"]) -> Float[np.ndarray, "row column"]:
+    """The squared length of each pixel's difference of colours; the differences are overwritten."""
+    differences *= differences
+    # NumPy is slow along an axis of three.
+    return np.asarray(cv2.transform(differences, SUM), np.float32) if differences.shape[-1] == 3 else differences[..., 0]
 
 
 # Number of bins for each channel's 256 grey levels.

@@ -28,7 +28,7 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from bayes_body.recording.observation.background import Background
-from bayes_body.recording.observation.exposure import Exposure, colour_bins, colour_histogram, fit_exposure
+from bayes_body.recording.observation.exposure import Exposure, colour_bins, colour_histogram, fit_exposure, squared_length
 from bayes_body.recording.observation.pictures import Colours
 from bayes_body.recording.session.session import Segmentation
 
@@ -52,8 +52,6 @@ SATURATED = 250
 BRIDGED = 21
 # Rows of an image that are computed together: their arrays fit into a core's cache.
 STRIP = 32
-# Adds three channels.
-SUM = np.ones((1, 3), np.float32)
 
 
 def foreground_levels(background: Background, image: Colours, options: Segmentation) -> UInt8[np.ndarray, "row column"] | None:
@@ -119,8 +117,7 @@ def _distance(image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArr
     saturated = mean >= SATURATED
     if saturated.any():
         off[saturated & (off > 0)] = 0
-    off *= off
-    return np.asarray(cv2.transform(off, SUM), np.float32) if off.shape[-1] == 3 else off[..., 0]
+    return squared_length(off)
 
 
 def _forgive_shadows(

@@ -7,6 +7,7 @@ import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from jaxtyping import UInt8
 from bayes_body.base.errors import input_error
 from bayes_body.recording.observation.background import Background, learn_background, shrink, still_background
 from bayes_body.recording.observation.pictures import Colours, PictureCache, read_colour
+from bayes_body.recording.observation.prefetch import threads_for_work
 from bayes_body.recording.observation.segmentation import foreground_levels
 from bayes_body.recording.readers.images import is_image
 from bayes_body.recording.readers.images import read_colour as read_colour_image
@@ -46,7 +48,7 @@ def silhouette_levels(session: Session, view: View, image: Colours) -> UInt8[np.
     background = background_of(session, view)
     small = shrink(image)
     # The key is the content: the same picture has the same silhouette, whatever its number and file date.
-    key = _key(session, view), hashlib.blake2b(np.ascontiguousarray(small), digest_size=16).digest()
+    key = _key(session, view), hashlib.sha1(np.ascontiguousarray(small), usedforsecurity=False).digest()
     levels = _made.get(str(session.folder), key, lambda: foreground_levels(background, small, session.segmentation))
     return None if levels is None else np.asarray(cv2.resize(levels, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
 
@@ -59,10 +61,10 @@ def background_of(session: Session, view: View) -> Background:
     """
     key = _key(session, view)
     with _lock:
-        background = _backgrounds.pop(key, None) or _learn(session, view)
-        _backgrounds[key] = background
-        if len(_backgrounds) > KEPT:
-            _backgrounds.popitem(last=False)
+        if key not in _backgrounds:
+            _learn_all(session, view, key)
+        background = _backgrounds[key]
+        _backgrounds.move_to_end(key)
     return background
 
 
@@ -83,6 +85,23 @@ def _state(path: Path | None) -> tuple[int, int] | None:
     if path is None or not path.exists():
         return None
     return path.stat().st_mtime_ns, path.stat().st_size
+
+
+def _learn_all(session: Session, view: View, key: Hashable) -> None:
+    """Learn the background of a camera, and at the same time those of the other cameras, which are wanted next.
+
+    Raises:
+        InputError: that of this camera cannot be learned. An error of another camera is raised when that one is wanted.
+    """
+    keys = {_key(session, other): other for other in session.views if other.masks is None}
+    wanted = {key: view, **{other: keys[other] for other in list(keys)[:KEPT] if other not in _backgrounds}}
+    with ThreadPoolExecutor(threads_for_work(), thread_name_prefix="background") as pool:
+        learning = {camera: pool.submit(_learn, session, wanted[camera]) for camera in wanted}
+    for camera, background in reversed(learning.items()):
+        if camera == key or background.exception() is None:
+            _backgrounds[camera] = background.result()
+    while len(_backgrounds) > KEPT:
+        _backgrounds.popitem(last=False)
 
 
 def _learn(session: Session, view: View) -> Background:
