@@ -1,4 +1,4 @@
-"""What the host does for a frame, and how fast a recording is followed the first and the second time. `python tests/bench/host_pipeline.py [--json F]`.
+"""What the host does for a frame, and how fast a recording is followed the first time and again. `python tests/bench/host_pipeline.py [--json F]`.
 
 Without --session, a walk is filmed by four cameras of 640 x 480 pixels, whose silhouettes come from a film of the empty room. In a first pass, every
 silhouette is computed; a second one finds them in memory. The silhouettes are forgotten between passes by calling the recording by another name.
@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def step(session: Session, model: Model, seed: int) -> list[float]:
             arriving=(data for data in ready),
             on_frame=lambda _, clock=seconds: clock.append(time.process_time()),
         )
-    return [1e3 * (after - before) for before, after in zip(seconds[1:], seconds[2:], strict=False)]
+    return [1e3 * (after - before) for before, after in pairwise(seconds[1:])]
 
 
 def follow(session: Session, model: Model, seed: int) -> tuple[float, float]:

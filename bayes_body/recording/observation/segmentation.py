@@ -78,17 +78,16 @@ def independent_log_odds(background: Background, small: UInt8[np.ndarray, "row c
     exposure = fit_exposure(small, background.mean) if options.follow_exposure else None
     if options.follow_exposure and exposure is None:
         return None
-    log_odds = np.empty(small.shape[:2], np.float32)
+    distance = np.empty(small.shape[:2], np.float32)
     for first in range(0, len(small), STRIP):
         rows = slice(first, first + STRIP)
         expected, sd = _exposed(background, exposure, rows)
-        distance = _distance(small[rows], expected, sd, background.mean[rows])
-        if options.shadows and small.shape[-1] == 3:
-            _forgive_shadows(distance, small[rows], expected, sd, options.threshold)
-        distance -= np.float32(options.threshold)
-        distance *= np.float32(0.5)
-        np.clip(distance, -SURE, SURE, out=log_odds[rows])
-    return log_odds
+        distance[rows] = _distance(small[rows], expected, sd, background.mean[rows])
+    if options.shadows and small.shape[-1] == 3:
+        _forgive_shadows(distance, small, background, exposure, options.threshold)
+    distance -= np.float32(options.threshold)
+    distance *= np.float32(0.5)
+    return np.clip(distance, -SURE, SURE, out=distance)
 
 
 def _exposed(background: Background, exposure: Exposure | None, rows: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -121,11 +120,14 @@ def _distance(image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArr
 
 
 def _forgive_shadows(
-    distance: NDArray[np.float32], image: NDArray[np.uint8], expected: NDArray[np.float32], sd: NDArray[np.float32], threshold: float
+    distance: NDArray[np.float32], image: NDArray[np.uint8], background: Background, exposure: Exposure | None, threshold: float
 ) -> None:
     """Use the distance from the darkened background where it is smaller (in place). Only pixels that are otherwise likely foreground are examined."""
     likely = np.flatnonzero(distance > threshold / 2)
-    values, lit, deviation = (np.take(a.reshape(-1, a.shape[-1]), likely, axis=0) for a in (image, expected, sd))
+    values, lit, deviation = (np.take(a.reshape(-1, 3), likely, axis=0) for a in (image, background.mean, background.sd))
+    if exposure is not None:
+        lit = np.clip(lit * exposure.gain + np.take(exposure.offset.reshape(-1, 3), likely, axis=0), 0, 255)
+        deviation = deviation * exposure.gain
     values, lit = values / deviation, lit / deviation
     factor = np.einsum("pc,pc->p", values, lit) / np.maximum(np.einsum("pc,pc->p", lit, lit), 1e-6)
     factor = np.clip(factor, DARKEST_SHADOW, 1)
@@ -194,11 +196,11 @@ def _clean(levels: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> NDArray[np
 
 
 def _without_specks(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    mask = (levels > EVEN).astype(np.uint8)
+    mask = levels > EVEN
     foreground = np.flatnonzero(mask)
     # 16 bits are three times as fast, and enough for a piece a pixel.
     labels = cv2.CV_16U if foreground.size < 1 << 16 else cv2.CV_32S
-    _, pieces, figures, _ = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=labels)
+    _, pieces, figures, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8, ltype=labels)
     areas = figures[:, cv2.CC_STAT_AREA]
     least = max(LEAST_PIXELS, LEAST_SHARE * areas[1:].max(initial=0))
     cleaned = levels.copy()

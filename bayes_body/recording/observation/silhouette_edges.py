@@ -91,8 +91,11 @@ def _spread_bits(count: int) -> Int[np.ndarray, " number"]:
 
 # Pieces of a figure are at most this share of the image's longer side apart.
 GAP = 0.01
-# At so many standard deviations, closeness rounds to none in a map of 8 bits; OpenCV's distances are up to 5 % short.
+# At so many standard deviations, closeness rounds to none in a map of 8 bits (OpenCV's distances are up to 5 % short), and OpenCV's Gaussians end.
 FARTHEST = 4.0
+# A box begins at a multiple of so many columns: OpenCV works on as many at once.
+ALIGNED = 16
+EVERYWHERE = slice(0, None), slice(0, None)
 
 
 class Options(Schema):
@@ -161,10 +164,11 @@ def surroundings(mask: NDArray[np.bool_], reach_px: float) -> tuple[slice, slice
     """Rows and columns of a mask's (row, column) smallest box, enlarged by `reach_px` on all sides; everything if the mask is empty."""
     first_column, first_row, columns, rows = cv2.boundingRect(mask.view(np.uint8))
     if not rows:
-        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+        return EVERYWHERE
     # Filters and approximate distances need two more pixels.
     margin = math.ceil(reach_px) + 2
-    return slice(max(first_row - margin, 0), first_row + rows + margin), slice(max(first_column - margin, 0), first_column + columns + margin)
+    start, stop = max(first_column - margin, 0) // ALIGNED * ALIGNED, first_column + columns + margin
+    return slice(max(first_row - margin, 0), first_row + rows + margin), slice(start, -(-stop // ALIGNED) * ALIGNED)
 
 
 def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -184,25 +188,28 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         options: options of the maps.
         likelihood: the options of the likelihood that reads them. If it has the term "cover", its `cover_points` are used.
     """
-    farthest = FARTHEST * max(options.silhouette_smooth_px, options.edge_smooth_px) + options.edges_within_px
     count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
 
-    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
-        silhouette = smooth_silhouette(mask, options.silhouette_smooth_px)
-        return silhouette, edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
+        # A smoothed silhouette is 0 beyond the filter's reach.
+        box = surroundings(mask, FARTHEST * options.silhouette_smooth_px)
+        silhouette = smooth_silhouette(mask[box], options.silhouette_smooth_px)
+        edge_values = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+        return np.stack([levels_in(box, silhouette, image.shape, shape), levels_in(EVERYWHERE, edge_values, image.shape, shape)])
 
-    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], ...]:
-        outside = distance_to(mask)
-        edge_pixels = edges(image, options.edge_threshold) & (outside <= options.edges_within_px)
-        return closeness(outside, options.silhouette_smooth_px), closeness(distance_to(edge_pixels), options.edge_smooth_px)
+    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
+        box = surroundings(mask, FARTHEST * max(options.silhouette_smooth_px, options.edge_smooth_px) + options.edges_within_px)
+        outside = distance_to(mask[box])
+        edge_pixels = edges(image[box], options.edge_threshold) & (outside <= options.edges_within_px)
+        values = closeness(outside, options.silhouette_smooth_px), closeness(distance_to(edge_pixels), options.edge_smooth_px)
+        return np.stack([levels_in(box, value, image.shape, shape) for value in values])
 
-    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
-        if options.proximity == "density":
-            return np.stack([quantised((1 - value) ** 2, options.unseen_error, shape) for value in by_density(image, mask)])
-        box = surroundings(mask, farthest)
-        corner = box[0].start, box[1].start
-        values = by_distance(image[box], mask[box])
-        return np.stack([quantised((1 - value) ** 2, options.unseen_error, shape, corner, mask.shape) for value in values])
+    def levels_in(box: tuple[slice, slice], values: NDArray[np.float32], size: tuple[int, ...], shape: tuple[int, int]) -> Levels:
+        errors = 1 - values
+        errors *= errors
+        return quantised(errors, options.unseen_error, shape, (box[0].start, box[1].start), size)
+
+    maps_of = by_distance if options.proximity == "distance" else by_density
 
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
         unseen = quantised(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
