@@ -18,7 +18,7 @@ from bayes_body.base.geometry.camera import Camera, Pixels
 
 type Lookup = Literal["nearest", "bilinear"]
 # Levels have a row and a column more than words.
-type Levels = UInt8[np.ndarray, "*maps row column"]
+type Levels = UInt8[np.ndarray, "*maps level_row level_column"]
 type Packed = UInt32[Array | np.ndarray, "*maps row column"]
 
 BORDER = 1

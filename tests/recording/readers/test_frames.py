@@ -2,8 +2,6 @@
 
 import dataclasses
 import shutil
-import threading
-import time
 
 import cv2
 import jax
@@ -15,7 +13,6 @@ from bayes_body.model.build import build_model
 from bayes_body.recording.observation import frames
 from bayes_body.recording.observation.frames import Frame, cameras_with_picture, read_frame
 from bayes_body.recording.observation.pictures import read_colour
-from bayes_body.recording.observation.prefetch import prefetch
 from bayes_body.recording.readers.parsec import import_parsec
 from bayes_body.results.metrics.fit import frame_fit
 from bayes_body.tracking.observations import observations
@@ -168,62 +165,3 @@ def test_a_model_of_keypoints_reads_no_picture(keypoint_session, monkeypatch):
     assert np.isnan(judged.overlap).all() and not np.isnan(fit.overlap).any()
     with pytest.raises(AssertionError, match="a picture is read"):
         next(observations(keypoint_session, build_model("silhouettes", keypoint_session), range(1)))
-
-
-def test_order():
-    assert list(prefetch(range(20), lambda k: k * k)) == [k * k for k in range(20)]
-    assert list(prefetch([], lambda k: k)) == []
-
-
-def test_next_is_computed_while_the_consumer_works():
-    computed = [threading.Event() for _ in range(3)]
-    threads = set()
-
-    def compute(k: int) -> int:
-        threads.add(threading.get_ident())
-        computed[k].set()
-        return k
-
-    for k in prefetch(range(3), compute):
-        if k < 2:
-            assert computed[k + 1].wait(timeout=300), "the next item waits for the consumer"
-    assert threads.isdisjoint({threading.get_ident()})
-    assert len(threads) == 1
-
-
-def test_an_exception_comes_in_its_items_turn():
-    def compute(k: int) -> int:
-        if k == 2:
-            raise InputError("frame 2 is broken")
-        return k
-
-    results = prefetch(range(5), compute)
-    assert [next(results), next(results)] == [0, 1]
-    with pytest.raises(InputError, match="frame 2 is broken"):
-        next(results)
-
-
-def test_an_exception_of_the_items_comes_in_its_turn():
-    def items():
-        yield 0
-        raise InputError("no more")
-
-    results = prefetch(items(), lambda k: k)
-    assert next(results) == 0
-    with pytest.raises(InputError, match="no more"):
-        next(results)
-
-
-def test_an_early_stop_leaves_no_thread():
-    calls = []
-
-    def compute(k: int) -> int:
-        calls.append(k)
-        time.sleep(0.01)
-        return k
-
-    results = prefetch(range(1000), compute)
-    assert next(results) == 0
-    results.close()
-    assert len(calls) <= 2
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]
