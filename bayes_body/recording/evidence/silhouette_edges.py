@@ -67,9 +67,8 @@ def pack(levels: Levels) -> Packed:
 @jax.jit
 def _words(levels: Array) -> Array:
     words = levels.astype(jnp.uint32)
-    left, right = words[..., :-1], words[..., 1:]
-    above, below = left | (right << 8), (left << 16) | (right << 24)
-    return above[..., :-1, :] | below[..., 1:, :]
+    pairs = words[..., :-1] | (words[..., 1:] << 8)
+    return pairs[..., :-1, :] | (pairs[..., 1:, :] << 16)
 
 
 def look_up(

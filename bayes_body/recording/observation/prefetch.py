@@ -5,7 +5,6 @@ onwards. What is made of an item depends on it alone, so the number of threads m
 """
 
 import os
-import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,8 +12,12 @@ from contextlib import contextmanager, nullcontext
 
 import cv2
 
+from bayes_body.base.shared_setting import SharedSetting
+
 # More threads would wait for Python's lock.
 MOST_THREADS = 8
+# OpenCV works in the calling threads alone: its own would take the cores from them, and from the device.
+ONE_OPENCV_THREAD = SharedSetting(cv2.getNumThreads, cv2.setNumThreads, 1)
 
 
 def threads_for_work() -> int:
@@ -41,26 +44,26 @@ def prefetch[Item, Result](items: Iterable[Item], function: Callable[[Item], Res
         return end if item is end else function(item)  # pyright: ignore[reportArgumentType]
 
     with (
-        nullcontext() if threads == 1 else _one_opencv_thread(),
+        nullcontext() if threads == 1 else ONE_OPENCV_THREAD,
         _closed_by_its_thread(remaining) as reader,
         ThreadPoolExecutor(threads, thread_name_prefix="prefetch") as pool,
     ):
-        ahead = deque[tuple[Future[Item | object], Future[Result | object]]]()
+        pending = deque[tuple[Future[Item | object], Future[Result | object]]]()
 
         def submit() -> None:
             # A StopIteration cannot pass through a future into a generator.
             drawing = reader.submit(next, remaining, end)
-            ahead.append((drawing, pool.submit(work, drawing)))
+            pending.append((drawing, pool.submit(work, drawing)))
 
         try:
             for _ in range(threads + 1):
                 submit()
-            while (result := ahead.popleft()[1].result()) is not end:
+            while (result := pending.popleft()[1].result()) is not end:
                 submit()
                 yield result  # pyright: ignore[reportReturnType]
         finally:
             # First the work, which would wait for its item.
-            for future in [work for _, work in ahead] + [drawing for drawing, _ in ahead]:
+            for future in [working for _, working in pending] + [drawing for drawing, _ in pending]:
                 future.cancel()
 
 
@@ -73,25 +76,3 @@ def _closed_by_its_thread(items: Iterator[object]) -> Iterator[ThreadPoolExecuto
         finally:
             if isinstance(items, Generator):
                 reader.submit(items.close)
-
-
-_opencv = threading.Lock()
-_users, _usual_threads = 0, 0
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    """Let OpenCV work in the calling threads alone. Its own threads would take the cores from them, and from the device."""
-    global _users, _usual_threads
-    with _opencv:
-        if not _users:
-            _usual_threads = cv2.getNumThreads()
-            cv2.setNumThreads(1)
-        _users += 1
-    try:
-        yield
-    finally:
-        with _opencv:
-            _users -= 1
-            if not _users:
-                cv2.setNumThreads(_usual_threads)

@@ -158,11 +158,11 @@ def _by_the_persons_colours(image: NDArray[np.uint8], log_odds: LogOdds) -> LogO
     core = cv2.erode(sure, np.ones((3, 3), np.uint8)) > 0
     if core.sum() < LEAST_SURE:
         return added
-    near = cv2.distanceTransform(1 - sure, cv2.DIST_L2, 3) < NEAR
+    is_near = cv2.distanceTransform(1 - sure, cv2.DIST_L2, 3) < NEAR
     bins = colour_bins(image)
     shares = colour_histogram(bins[core], image.shape[-1])
     log_ratios = np.log(UNSEEN + (1 - UNSEEN) * shares * shares.size).astype(np.float32)
-    added[box][near] = log_ratios[bins[near]]
+    added[box][is_near] = log_ratios[bins[is_near]]
     return added
 
 

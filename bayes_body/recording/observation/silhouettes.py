@@ -93,13 +93,13 @@ def _learn_all(session: Session, view: View, key: Hashable) -> None:
     Raises:
         InputError: that of this camera cannot be learned. An error of another camera is raised when that one is wanted.
     """
-    keys = {_key(session, other): other for other in session.views if other.masks is None}
-    wanted = {key: view, **{other: keys[other] for other in list(keys)[:KEPT] if other not in _backgrounds}}
+    views = {_key(session, camera): camera for camera in session.views if camera.masks is None}
+    unlearned = {camera_key: camera for camera_key, camera in list(views.items())[:KEPT] if camera_key not in _backgrounds}
     with ThreadPoolExecutor(threads_for_work(), thread_name_prefix="background") as pool:
-        learning = {camera: pool.submit(_learn, session, wanted[camera]) for camera in wanted}
-    for camera, background in reversed(learning.items()):
-        if camera == key or background.exception() is None:
-            _backgrounds[camera] = background.result()
+        learning = {camera_key: pool.submit(_learn, session, camera) for camera_key, camera in {key: view, **unlearned}.items()}
+    for camera_key, background in reversed(learning.items()):
+        if camera_key == key or background.exception() is None:
+            _backgrounds[camera_key] = background.result()
     while len(_backgrounds) > KEPT:
         _backgrounds.popitem(last=False)
 

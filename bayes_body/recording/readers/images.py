@@ -2,9 +2,6 @@
 
 import os
 import struct
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -14,13 +11,14 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.read import NoSuchFileError, native_path, read_bytes
+from bayes_body.base.shared_setting import SharedSetting
 
 # A silhouette pixel that is brighter than this belongs to the subject.
 MASK_THRESHOLD = 127
 # No image of a camera is larger.
 LARGEST_BYTES = 1_000_000_000
-# OpenCV's log level is global: two threads that both restore it could leave it silent for good.
-_LOG_LEVEL = threading.Lock()
+# In a `with` block, OpenCV prints no messages on stderr. The error that follows says the same.
+SILENT = SharedSetting(cv2.utils.logging.getLogLevel, cv2.utils.logging.setLogLevel, cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 class NotSeenError(InputError):
@@ -89,7 +87,7 @@ def _read(path: Path, size_px: tuple[int, int] | None, flag: int) -> NDArray[np.
 
 def _decoded(path: Path, content: bytes, flag: int) -> MatLike | None:
     try:
-        with silent():
+        with SILENT:
             return cv2.imdecode(np.frombuffer(content, np.uint8), flag)
     except cv2.error as error:
         # OpenCV reads the size in the header first, and refuses it before it allocates memory (`bayes_body` sets the limit).
@@ -122,15 +120,3 @@ def _missing_bytes(content: bytes) -> int:
     if header >= 40 and compression == 0:
         full_size = start + (abs(width) * bits + 31) // 32 * 4 * abs(height)
     return max(0, full_size - len(content))
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Suppress OpenCV's messages on stderr. The error that follows says the same."""
-    with _LOG_LEVEL:
-        level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        try:
-            yield
-        finally:
-            cv2.utils.logging.setLogLevel(level)

@@ -17,7 +17,7 @@ from tomlkit.items import Table
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.atomic import make_folder, replacing, write_text
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.images import silent
+from bayes_body.recording.readers.images import SILENT
 from bayes_body.recording.session.session import CameraSpec
 
 # Where Pose2Sim expects a project's calibration.
@@ -113,7 +113,7 @@ class VideoWriter:
             InputError: it cannot be written.
         """
         make_folder(path.parent)
-        with silent():
+        with SILENT:
             self._video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), fps, size_px)
         self._path = path
         if not self._video.isOpened():

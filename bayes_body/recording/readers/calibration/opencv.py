@@ -18,7 +18,7 @@ from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.files.read import read_text
 from bayes_body.recording.readers.calibration.calibrated import Calibrated, calibrated, rotation_given_twice
 from bayes_body.recording.readers.faults import Faults
-from bayes_body.recording.readers.images import silent
+from bayes_body.recording.readers.images import SILENT
 from bayes_body.recording.session.session import CameraSpec
 
 KIND = "a calibration in OpenCV's yml, xml or json"
@@ -235,7 +235,7 @@ def _open(path: Path) -> _File:
         raise input_error(path, f"{opened} brackets, tags or items", f"{KIND} with at most {MOST_OPENED}", "restore the file")
     storage = cv2.FileStorage()
     try:
-        with silent():
+        with SILENT:
             opened = storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError, UnicodeDecodeError) as error:
         raise _not_read(path, str(error)) from None
