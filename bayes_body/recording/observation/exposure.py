@@ -55,11 +55,12 @@ def fit_exposure(image: UInt8[np.ndarray, "row column channel"], reference: Floa
     return Exposure(lines[:, 0], cv2.resize(field, (columns, rows), interpolation=cv2.INTER_LINEAR).reshape(rows, columns, channels))
 
 
-def _median(values: NDArray[np.float32]) -> np.float32:
+def _median(values: NDArray[np.floating]) -> float:
     """The median, in the time of a partition: NumPy's looks for NaN too."""
     lower, upper = (values.size - 1) // 2, values.size // 2
     parts = np.partition(values, (lower, upper))
-    return parts[lower] if lower == upper else (parts[lower] + parts[upper]) / np.float32(2)
+    # Their mean in their own precision.
+    return float(parts[lower] if lower == upper else (parts[lower] + parts[upper]) / values.dtype.type(2))
 
 
 @cache
@@ -81,7 +82,7 @@ def _fit(x: NDArray[np.float32], y: NDArray[np.float32], terms: NDArray[np.float
     line = unchanged
     for _ in range(ROUNDS):
         np.abs(residual, out=residual)
-        is_inlier = residual <= max(2.5 * 1.4826 * float(_median(residual)), LEAST_SPREAD)
+        is_inlier = residual <= max(2.5 * 1.4826 * _median(residual), LEAST_SPREAD)
         used = np.compress(is_inlier, columns, axis=0)
         # A weak prior (gain 1, offset 0) determines what an image of one colour leaves open.
         normal = used.T @ used + np.eye(used.shape[1], dtype=np.float32)

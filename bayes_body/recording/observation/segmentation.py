@@ -201,7 +201,7 @@ def _without_specks(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     # Labels of 16 bits are faster, and enough for a piece a pixel.
     label_type = cv2.CV_16U if foreground.size < 1 << 16 else cv2.CV_32S
     _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8, ltype=label_type)
-    pieces = np.asarray(labels).reshape(-1)[foreground]
+    pieces = np.asarray(labels).reshape(-1)[foreground].astype(np.intp)
     areas = np.bincount(pieces)
     least = max(LEAST_PIXELS, LEAST_SHARE * areas.max(initial=0))
     cleaned = levels.copy()
