@@ -19,8 +19,9 @@ from bayes_body.kernels.paths.smoother import JointOptions, Smoother, paths_opti
 from bayes_body.model.build import Model
 from bayes_body.model.kernel_options import kernel_sentences, unknowns_sentence
 from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.by_frame import stack_frames
 from bayes_body.results.metrics.fit import frame_fit, result_fit
-from bayes_body.results.metrics.plausibility import fit_figures
+from bayes_body.results.metrics.plausibility import fit_figures, judge
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
 from bayes_body.results.metrics.unknown_sentences import unknown_sentences
 from bayes_body.results.metrics.unknowns import near_limit_shares, near_limits, unknown_figures
@@ -189,11 +190,12 @@ def run_sentences(session: Session, draws: Draws, bar: bool = False) -> list[str
     """
     model, count = draws.model, len(draws.frames)
     first = frame_fit(session, model, np.asarray(model.initial[model.body.variable], float)[None], 0, to_judge=True)
-    fits = [result_fit(session, model, draws.frames[index], index, to_judge=True) for index in watched("figures", bar)(range(count))]
-    figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, fits)}
+    frames = watched("figures", bar)(range(count))
+    verdicts = stack_frames(judge(result_fit(session, model, draws.frames[index], index, to_judge=True)) for index in frames)
+    figures = {"frames": count, "frames_restarted": draws.frames_restarted, **fit_figures(first, verdicts)}
     is_sample = draws.samples_posterior
     figures |= unknown_figures(model, draws.frames[count - 1], count - 1, is_sample)
-    figures["near_limit_shares"] = near_limit_shares(model, [near_limits(model, frame) for frame in draws.frames] if is_sample else [])
+    figures["near_limit_shares"] = near_limit_shares(model, np.stack([near_limits(model, frame) for frame in draws.frames]) if is_sample else None)
     remarks = pair_remarks(session, model, count, bar)
     with waiting("diagnostics", bar):
         judged = sentences(diagnose(tree_on_demand(draws)))

@@ -9,7 +9,6 @@ A small body inside a large silhouette has a cover of 1. So a whole body must al
 more.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +35,8 @@ FEWEST_FRAMES = 3
 class Verdict(NamedTuple):
     """The figures of a frame, median over the cameras, and what follows from them. A figure that does not exist is NaN.
 
+    Of all frames of a run, each field has a leading axis (frame,).
+
     Attributes:
         cover: of the cameras whose silhouette can be a person's.
         overlap: of the same cameras, for a whole body.
@@ -52,7 +53,7 @@ class Verdict(NamedTuple):
     outside: Bool[np.ndarray, " run"]
     beside: Bool[np.ndarray, " run"]
     off: Bool[np.ndarray, " run"]
-    blind: bool
+    blind: Bool[np.ndarray, ""]
 
 
 def judge(fit: Fit) -> Verdict:
@@ -66,7 +67,7 @@ def judge(fit: Fit) -> Verdict:
     # A comparison with NaN is False: nothing is said where nothing tells.
     off = distance > MOST_DISTANCE if by_keypoints else (cover < LEAST_COVER) | (overlap < LEAST_OVERLAP)
     blind = not by_keypoints and bool(np.isfinite(fit.silhouette).any()) and not usable.any()
-    return Verdict(cover, overlap, distance, outside, beside, off | outside | beside, bool(blind))
+    return Verdict(cover, overlap, distance, outside, beside, off | outside | beside, np.bool_(blind))
 
 
 def can_be_a_person(shares: Float[np.ndarray, " camera"]) -> Bool[np.ndarray, " camera"]:
@@ -140,29 +141,27 @@ def _first_figures(first: Verdict, by_keypoints: bool) -> dict[str, Any]:
     }
 
 
-def fit_figures(first: Fit, frames: Sequence[Fit], first_frame: int = 0) -> dict[str, Any]:
+def fit_figures(first: Fit, verdicts: Verdict, first_frame: int = 0) -> dict[str, Any]:
     """Return the keys of `summary.json` about the fit; by keypoints if there are any, else by silhouettes.
 
     Args:
         first: fit of the first pose to frame 0.
-        frames: fit of each run's mean pose to each frame.
+        verdicts: of the fit of each run's mean pose to each frame, with a leading axis (frame,).
         first_frame: number of the first frame in the recording.
     """
-    verdicts = [judge(fit) for fit in frames]
-    by_keypoints = any(np.isfinite(verdict.distance).any() for verdict in verdicts)
-    misfits = np.stack([verdict.distance if by_keypoints else -verdict.cover for verdict in verdicts])
-    worst, frame = _worst(misfits)
-    least, least_frame = _worst(np.stack([-verdict.overlap for verdict in verdicts])) if not by_keypoints else (None, None)
+    by_keypoints = bool(np.isfinite(verdicts.distance).any())
+    worst, frame = _worst(verdicts.distance if by_keypoints else -verdicts.cover)
+    least, least_frame = _worst(-verdicts.overlap) if not by_keypoints else (None, None)
     return _first_figures(judge(first), by_keypoints) | {
         "fit_by": ("keypoints" if by_keypoints else "silhouettes") if worst is not None else None,
         "fit_worst": worst if worst is None or by_keypoints else -worst,
         "fit_worst_frame": None if frame is None else first_frame + frame,
         "overlap_worst": None if least is None else -least,
         "overlap_worst_frame": None if least_frame is None else first_frame + least_frame,
-        "frames_off": _lasting([verdict.off.any() for verdict in verdicts], first_frame),
-        "frames_outside": _lasting([verdict.outside.any() for verdict in verdicts], first_frame),
-        "frames_beside": _lasting([verdict.beside.any() for verdict in verdicts], first_frame),
-        "frames_blind": _lasting([verdict.blind for verdict in verdicts], first_frame),
+        "frames_off": _lasting(verdicts.off.any(axis=1), first_frame),
+        "frames_outside": _lasting(verdicts.outside.any(axis=1), first_frame),
+        "frames_beside": _lasting(verdicts.beside.any(axis=1), first_frame),
+        "frames_blind": _lasting(verdicts.blind, first_frame),
     }
 
 
@@ -178,7 +177,7 @@ def _over_cameras(values: Float[np.ndarray, "run camera"]) -> Float[np.ndarray, 
     return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
 
 
-def _lasting(crossed: Sequence[bool | np.bool_], first_frame: int) -> list[int]:
+def _lasting(crossed: Bool[np.ndarray, " frame"], first_frame: int) -> list[int]:
     """Return the numbers of the frames of stretches of at least FEWEST_FRAMES frames, or of all frames if there are fewer."""
-    least, edges = min(FEWEST_FRAMES, len(crossed)), np.flatnonzero(np.diff(np.concatenate([[0], np.array(crossed, int), [0]]))).reshape(-1, 2)
+    least, edges = min(FEWEST_FRAMES, len(crossed)), np.flatnonzero(np.diff(np.concatenate([[0], crossed.astype(int), [0]]))).reshape(-1, 2)
     return [first_frame + frame for start, stop in edges.tolist() if stop - start >= least for frame in range(start, stop)]

@@ -19,9 +19,10 @@ from bayes_body.base.registry import OTHER
 from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
+from bayes_body.results.metrics.by_frame import stack_frames
 from bayes_body.results.metrics.figures import accuracy_figures
-from bayes_body.results.metrics.fit import Fit, frame_fit, result_fit
-from bayes_body.results.metrics.plausibility import fit_figures
+from bayes_body.results.metrics.fit import frame_fit, result_fit
+from bayes_body.results.metrics.plausibility import Verdict, fit_figures, judge
 from bayes_body.results.metrics.truth import draws_against_truth
 from bayes_body.results.metrics.unknowns import near_limit_shares, near_limits, unknown_figures
 from bayes_body.results.posterior import frame_rhat, markers
@@ -48,29 +49,44 @@ def log_evidence(draws: Draws) -> float:
 
 
 class _Figures(NamedTuple):
-    """The figures of one frame for the summary: the fit, arrays (run,), single numbers, and whether each dof is near its limit."""
+    """The figures of one frame for the summary, or of all frames with a leading axis (frame,).
+
+    Arrays (run,), single numbers, the fit (run, camera), its verdict, and whether each dof is near its limit.
+    """
 
     ess: NDArray[Any]
     layers: NDArray[Any]
     log_evidence: NDArray[Any]
-    evaluations: int
-    lost: bool
-    restarted: bool
-    rhat: float
-    fit: Fit
-    disagreement: float
+    evaluations: NDArray[Any]
+    lost: NDArray[Any]
+    restarted: NDArray[Any]
+    rhat: NDArray[Any]
+    overlap: NDArray[Any]
+    distance_px: NDArray[Any]
+    verdict: Verdict
+    disagreement: NDArray[Any]
     near_limits: NDArray[Any]
 
 
 def _figures(session: Session, model: Model, frame: FrameResult, index: int, to_judge: bool) -> _Figures:
     info, fit = frame.info, result_fit(session, model, frame, index, to_judge)
-    evidence, evaluations = np.asarray(info.log_evidence, float), int(np.sum(info.evaluations))
     worst = _largest(frame_rhat(frame, index, model.body.variable, configuration_space(model.body)))
     # A kernel that chooses its number of layers fills the unused layers with NaN.
     layers = np.isfinite(info.inverse_temperatures).sum(axis=-1)
-    restarted, disagreement = bool(frame.restarted.any()), _disagreement(model, frame)
-    limits = near_limits(model, frame)
-    return _Figures(np.asarray(info.ess), layers, evidence, evaluations, frame.lost, restarted, worst, fit, disagreement, limits)
+    return _Figures(
+        ess=np.asarray(info.ess),
+        layers=layers,
+        log_evidence=np.asarray(info.log_evidence, float),
+        evaluations=np.sum(info.evaluations, dtype=np.int64),
+        lost=np.bool_(frame.lost),
+        restarted=frame.restarted.any(),
+        rhat=np.float64(worst),
+        overlap=fit.overlap,
+        distance_px=fit.distance_px,
+        verdict=judge(fit),
+        disagreement=np.float64(_disagreement(model, frame)),
+        near_limits=near_limits(model, frame),
+    )
 
 
 def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: Watch = unwatched, pictures: bool = True) -> dict[str, Any]:
@@ -81,20 +97,18 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
     """
     frames, working = len(draws.frames), draws.timing.total - draws.timing.compile
     to_judge = not pictures and not draws.model.reads_pictures
-    by_frame = [_figures(session, draws.model, draws.frames[index], index, to_judge) for index in watch(range(frames))]
+    by_frame = stack_frames(_figures(session, draws.model, draws.frames[index], index, to_judge) for index in watch(range(frames)))
     mode_seeker = not draws.samples_posterior
-    ess, fits = np.array([frame_figures.ess for frame_figures in by_frame]), [frame_figures.fit for frame_figures in by_frame]
-    overlap, distance_px = (np.array([getattr(fit, name) for fit in fits]) for name in ("overlap", "distance_px"))
     first = frame_fit(session, draws.model, np.asarray(draws.model.initial[draws.model.body.variable], float)[None], 0, to_judge=to_judge)
     figures = {
         "frames": frames,
         "first_frame": draws.first_frame,
-        "frames_lost": sum(frame_figures.lost for frame_figures in by_frame),
-        "frames_restarted": [draws.first_frame + frame for frame, frame_figures in enumerate(by_frame) if frame_figures.restarted],
+        "frames_lost": int(by_frame.lost.sum()),
+        "frames_restarted": (draws.first_frame + np.flatnonzero(by_frame.restarted)).tolist(),
         "cameras": len(session.views),
         "dof": configuration_space(draws.model.body).dimension,
         "particles": draws.particles,
-        "layers": round(float(np.median([frame_figures.layers for frame_figures in by_frame]))),
+        "layers": round(float(np.median(by_frame.layers))),
         "runs": draws.runs,
         "kernel": kernel,
         "model": draws.model.definition.name,
@@ -102,20 +116,20 @@ def summarise(session: Session, draws: Draws, *, kernel: str, seed: int, watch: 
         "seconds_total": draws.timing.total,
         "seconds_compile": draws.timing.compile,
         "seconds_per_frame": working / frames,
-        "evaluations_per_second": sum(frame_figures.evaluations for frame_figures in by_frame) / working,
+        "evaluations_per_second": int(by_frame.evaluations.sum()) / working,
         "peak_memory_mb": peak_memory_mb(),
-        "ess_min": float(ess.min()),
-        "ess_median": float(np.median(ess)),
-        "rhat_max": _largest(np.array([frame_figures.rhat for frame_figures in by_frame])),
-        "log_evidence": log_mean_exp(np.sum([frame_figures.log_evidence for frame_figures in by_frame], axis=0)),
+        "ess_min": float(by_frame.ess.min()),
+        "ess_median": float(np.median(by_frame.ess)),
+        "rhat_max": _largest(by_frame.rhat),
+        "log_evidence": log_mean_exp(by_frame.log_evidence.sum(axis=0)),
         "reads": draws.model.reads,
-        "iou_median": _median(overlap),
-        "reprojection_px_median": _median(distance_px),
-        "reprojection_by_camera": _by_camera(session, distance_px),
-        "marker_disagreement_mm": 1000 * float(np.mean([frame_figures.disagreement for frame_figures in by_frame])),
-        **fit_figures(first, fits, draws.first_frame),
+        "iou_median": _median(by_frame.overlap),
+        "reprojection_px_median": _median(by_frame.distance_px),
+        "reprojection_by_camera": _by_camera(session, by_frame.distance_px),
+        "marker_disagreement_mm": 1000 * float(by_frame.disagreement.mean()),
+        **fit_figures(first, by_frame.verdict, draws.first_frame),
         **unknown_figures(draws.model, draws.frames[frames - 1], frames - 1, not mode_seeker),
-        "near_limit_shares": near_limit_shares(draws.model, [] if mode_seeker else [frame_figures.near_limits for frame_figures in by_frame]),
+        "near_limit_shares": near_limit_shares(draws.model, None if mode_seeker else by_frame.near_limits),
         **accuracy_figures(draws_against_truth(session, draws, watch), mode_seeker),
     }
     return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in figures.items()}

@@ -9,7 +9,7 @@ is fitted on every other frame and added to the body's marker in the frames betw
 it contributed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,8 +29,9 @@ from bayes_body.model.build import Model
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.accuracy import FrameAccuracy, frame_accuracy
+from bayes_body.results.metrics.accuracy import LEVELS, FrameAccuracy, frame_accuracy
 from bayes_body.results.metrics.angles import AngleAccuracy, TrueAngles, angles_against_truth, true_angles
+from bayes_body.results.metrics.by_frame import stack_frames
 from bayes_body.results.metrics.calibration import Scores
 from bayes_body.results.metrics.clouds import Cloud, Clouds, weights_of
 from bayes_body.results.metrics.scores import FrameScores, frame_scores
@@ -183,21 +184,24 @@ def _accuracy(
     scored: bool = False,
 ) -> Accuracy:
     """Return the accuracy over all frames, each with its fold's offset added to the markers. The truth of a marker without an offset is unknown."""
-    by_frame, inside, scores, rng = [], np.zeros((), int), [], np.random.default_rng(REFERENCES)
+    inside, rng = np.zeros((len(LEVELS), len(common.names)), int), np.random.default_rng(REFERENCES)
     moved = [replace(model, body=replace(model.body, markers=_moved(model.body.markers, common, offset))) for offset in offsets]
     fold_truth = np.where(np.isfinite(offsets[folds]), truth, np.nan)
-    for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
-        noise = rng.standard_normal(true.shape) if scored else None
-        changes = [{name: values[run] for name, values in cloud.changes.items()} for run in range(len(cloud.poses))]
-        particles = zip(cloud.poses, cloud.log_weights, changes, strict=True)
-        runs = [_of_run(moved[fold], common, *run_particles, true, noise) for run_particles in particles]
-        inside = inside + np.sum([run.accuracy.inside for run in runs], axis=(0, -1))
-        by_frame.append(_stacked(runs))
-        scores.append([run.scores for run in runs])
-    error, relative, optimistic, expected, residual = (np.stack(part) for part in zip(*by_frame, strict=True))
-    count = 3 * np.isfinite(error).sum(axis=(0, 1))
-    stacked = Scores(*(np.array([[getattr(run, name) for run in frame] for frame in scores]) for name in Scores._fields)) if scored else None
-    return Accuracy(common.names, error, relative, optimistic, expected, inside, count, residual, stacked)
+
+    def frames() -> Iterator[_Frame]:
+        for cloud, true, fold in zip(clouds(), fold_truth, folds, strict=True):
+            noise = rng.standard_normal(true.shape) if scored else None
+            changes = [{name: values[run] for name, values in cloud.changes.items()} for run in range(len(cloud.poses))]
+            particles = zip(cloud.poses, cloud.log_weights, changes, strict=True)
+            runs = [_of_run(moved[fold], common, *run_particles, true, noise) for run_particles in particles]
+            inside[:] += np.sum([run.accuracy.inside for run in runs], axis=(0, -1))
+            yield _of_runs(runs)
+
+    by_frame = stack_frames(frames())
+    count = 3 * np.isfinite(by_frame.error).sum(axis=(0, 1))
+    return Accuracy(
+        common.names, by_frame.error, by_frame.relative, by_frame.optimistic, by_frame.expected, inside, count, by_frame.residual, by_frame.scores
+    )
 
 
 def _moved(markers: Markers, common: Common, offset: Float[np.ndarray, "marker 3"]) -> Markers:
@@ -231,11 +235,23 @@ def _of_run(
     return _Run(accuracy, np.einsum("mki,mk->mi", turned, accuracy.off), scores)
 
 
-def _stacked(runs: Sequence[_Run]) -> tuple[NDArray[np.floating], ...]:
-    """Return the stored figures of a frame: the errors of each run, and the means over the runs of the expected error and of the residual."""
-    by_run = [run.accuracy for run in runs]
+class _Frame(NamedTuple):
+    """What stays of a frame: errors of each run, means over the runs of the expected error and of the residual, and scores of each run."""
+
+    error: Float[np.ndarray, "run marker"]
+    relative: Float[np.ndarray, " run"]
+    optimistic: Float[np.ndarray, " run"]
+    expected: Float[np.ndarray, " share"]
+    residual: Float[np.ndarray, "marker 3"]
+    scores: Scores | None
+
+
+def _of_runs(runs: Sequence[_Run]) -> _Frame:
+    by_run, scores = [run.accuracy for run in runs], [run.scores for run in runs if run.scores is not None]
     error, relative, optimistic = (np.array([getattr(run, name) for run in by_run]) for name in ("error", "relative", "optimistic"))
-    return error, relative, optimistic, np.mean([run.expected for run in by_run], axis=0), np.mean([run.residual for run in runs], axis=0)
+    expected, residual = np.mean([run.expected for run in by_run], axis=0), np.mean([run.residual for run in runs], axis=0)
+    scores_by_run = Scores(*(np.array([getattr(run, name) for run in scores]) for name in Scores._fields)) if scores else None
+    return _Frame(error, relative, optimistic, expected, residual, scores_by_run)
 
 
 @jax.jit

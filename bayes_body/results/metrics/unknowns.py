@@ -6,7 +6,7 @@ their standard deviations says how much the images told: 1 is nothing.
 Where lengths are wrong and not among the unknowns, joints bend to make up for them, until their limits stop them: `near_limits` finds these.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -98,14 +98,14 @@ def near_limits(model: Model, frame: FrameResult) -> Bool[np.ndarray, " dof"]:
     return ((distance < NEAR_LIMIT * sd) & (high - low > LEAST_RANGE * sd)).all(axis=0)
 
 
-def near_limit_shares(model: Model, by_frame: Sequence[Bool[np.ndarray, " dof"]]) -> dict[str, float]:
+def near_limit_shares(model: Model, by_frame: Bool[np.ndarray, "frame dof"] | None) -> dict[str, float]:
     """Return the share of the frames in which a dof is near its limit, by name; dofs that never are have none.
 
     Args:
         model: the model of the run.
-        by_frame: from `near_limits`.
+        by_frame: from `near_limits`; None where the particles are no sample.
     """
-    if not by_frame or not by_frame[0].size:
+    if by_frame is None or not by_frame.size:
         return {}
     shares = np.mean(by_frame, axis=0)
     return {name: float(share) for name, share in zip(model.body.dof_names, shares, strict=True) if share > 0}

@@ -117,9 +117,9 @@ def test_a_dof_is_near_its_limit_if_the_posterior_says_so_in_all_runs(model):
 
 
 def test_a_dof_at_its_limit_is_a_warning_that_names_the_lengths(model):
-    flags = [np.array([False, False, False, frame < 3]) for frame in range(10)]
+    flags = np.array([[False, False, False, frame < 3] for frame in range(10)])
     shares = near_limit_shares(model, flags)
-    assert shares == {"elbow": 0.3} and near_limit_shares(model, []) == {}
+    assert shares == {"elbow": 0.3} and near_limit_shares(model, None) == {}
     (sentence,) = unknown_sentences({"near_limit_shares": shares})
     assert sentence.startswith("elbow (30% of the frames): within two posterior standard deviations of a limit")
     assert "wrong lengths" in sentence and "[[unknown]] kind = 'lengths'" in sentence
