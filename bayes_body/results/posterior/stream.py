@@ -1,7 +1,7 @@
 """Convert draws to an ArviZ DataTree, and write it as `posterior.nc` frame by frame in bounded memory, for xarray and ArviZ.
 
 The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run in some frames. The group `filter` has a few numbers per frame,
-and each of its variables is stored in one chunk. All chunks have checksums, which HDF5 verifies when it reads them. The file depends neither on
+and each of its variables is stored in one chunk, or of a long recording in chunks of a megabyte. All chunks have checksums, which HDF5 verifies when it reads them. The file depends neither on
 when it was written nor on how often the run was resumed.
 
 In the tree, a chain is an independent run of the filter, a draw is a particle, and the weights are stored with the draws. `tree_on_demand` reads the
@@ -78,8 +78,8 @@ def _make_group(file: "h5netcdf.File", name: str, members: Sequence[Variable], d
         dtype = np.asarray(variable.read(draws.frames[0])).dtype
         boolean = dtype.kind == "b"
         shape = tuple(lengths[dim] for dim in variable.dims)
-        # Checksums need chunks. Without draws, one chunk holds all.
-        chunks = tuple(_chunk(dim, length, step) for dim, length in zip(variable.dims, shape, strict=True)) if name in IN_CHUNKS else shape
+        frames = step if name in IN_CHUNKS else _frames_without_draws(math.prod(shape) * dtype.itemsize // len(draws.frames), step, len(draws.frames))
+        chunks = tuple(_chunk(dim, length, frames, name) for dim, length in zip(variable.dims, shape, strict=True))
         checked = {"chunks": chunks, "fletcher32": True} if 0 not in shape else {}
         array = group.create_variable(variable.name, variable.dims, np.dtype("i1") if boolean else dtype, **checked)
         # Follow xarray's conventions: booleans are stored as bytes, and coordinates that are not an index are named in an attribute.
@@ -99,8 +99,18 @@ def _make_coordinate(group: Any, label: str, dim: str, values: NDArray[Any] | li
         group.create_variable(label, (dim,), values.dtype, data=values)
 
 
-def _chunk(dim: str, length: int, step: int) -> int:
-    return 1 if dim == "chain" else step if dim == "frame" else length
+def _chunk(dim: str, length: int, frames: int, group: str) -> int:
+    return 1 if dim == "chain" and group in IN_CHUNKS else frames if dim == "frame" else length
+
+
+def _frames_without_draws(a_frame: int, step: int, count: int) -> int:
+    """Return the number of frames in a chunk of a variable without draws: all, up to CHUNK_BYTES.
+
+    HDF5 writes a chunk that is larger than its cache anew for every block of frames: the time for it would grow with the square of the length.
+    """
+    if a_frame * count <= CHUNK_BYTES:
+        return count
+    return max(CHUNK_BYTES // (a_frame * step), 1) * step
 
 
 def _write_block(arrays: Sequence[tuple[Variable, Any]], frames: Sequence[FrameResult], start: int) -> None:

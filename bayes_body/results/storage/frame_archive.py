@@ -22,6 +22,7 @@ from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import replacing
 from bayes_body.density.kernel import FilterInfo
 from bayes_body.results.posterior.layout import frame_axis_of, place_in_tree
+from bayes_body.results.storage.entries import Entries, entries_of
 from bayes_body.results.storage.names import INDEX_FILE
 from bayes_body.results.storage.posterior_file import check_plain
 from bayes_body.tracking.draws import FrameResult
@@ -110,22 +111,6 @@ BLOCKS_IN_MEMORY = 2
 BLOCK_BYTES = 8_000_000
 
 
-class Entry(NamedTuple):
-    """What the posterior lacks of a frame.
-
-    Attributes:
-        digest: the frame's digest.
-        seconds: as in `FrameResult`.
-        seconds_ready: as in `FrameResult`.
-        restarted: as in `FrameResult`: one value for each run, or none.
-    """
-
-    digest: str
-    seconds: float
-    seconds_ready: float
-    restarted: NDArray[np.bool_]
-
-
 class FrameArchive:
     """The first frames of a run, whose draws are in its posterior.
 
@@ -138,8 +123,8 @@ class FrameArchive:
         trusted: whether this process wrote the posterior, so that HDF5 may open it without a look at it by another process.
     """
 
-    def __init__(self, posterior: Path, run: str, names: Sequence[str], entries: Sequence[Entry], last_first: bool, trusted: bool = False):
-        self.posterior, self.run, self.names, self.entries = posterior, run, tuple(names), tuple(entries)
+    def __init__(self, posterior: Path, run: str, names: Sequence[str], entries: Entries, last_first: bool, trusted: bool = False):
+        self.posterior, self.run, self.names, self.entries = posterior, run, tuple(names), entries
         self.last_first, self.trusted = last_first, trusted
         self._block = lru_cache(BLOCKS_IN_MEMORY)(self._read_block)
 
@@ -192,15 +177,10 @@ class FrameArchive:
         Raises:
             InputError: the file system does not accept it.
         """
-        restarted = [entry.restarted for entry in self.entries]
         arrays: dict[str, NDArray[Any]] = {
             "run": np.array(self.run),
             "names": np.array(self.names),
-            "digests": np.array([entry.digest for entry in self.entries], "S"),
-            "seconds": np.array([entry.seconds for entry in self.entries]),
-            "seconds_ready": np.array([entry.seconds_ready for entry in self.entries]),
-            "restarted": np.concatenate(restarted),
-            "restarted_sizes": np.array([values.size for values in restarted]),
+            **self.entries.arrays(),
             "last_first": np.array(self.last_first),
         }
         with replacing(folder / INDEX_FILE) as partial, partial.open("wb") as file:
@@ -219,10 +199,7 @@ def read_archive(folder: Path, posterior: Path) -> FrameArchive | None:
     arrays = read_arrays(path, None, KIND, REMEDY)
     try:
         digest = str(arrays.pop("digest"))
-        restarted = np.split(arrays["restarted"].astype(bool), np.cumsum(arrays["restarted_sizes"])[:-1])
-        columns = (arrays["digests"].astype(str).tolist(), arrays["seconds"].tolist(), arrays["seconds_ready"].tolist(), restarted)
-        entries = [Entry(*values) for values in zip(*columns, strict=True)]
-        archive = FrameArchive(posterior, str(arrays["run"]), arrays["names"].tolist(), entries, bool(arrays["last_first"]))
+        archive = FrameArchive(posterior, str(arrays["run"]), arrays["names"].tolist(), entries_of(arrays), bool(arrays["last_first"]))
     except (KeyError, TypeError, ValueError) as error:
         raise input_error(path, f"cannot be read ({type(error).__name__}: {error})", KIND, REMEDY) from None
     if digest != digest_of(arrays):

@@ -17,8 +17,8 @@ import numpy as np
 from bayes_body.base.errors import InputError, escaped, input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, remove_partial, replacing, write_together
+from bayes_body.results.storage.entries import Entries, Entry
 from bayes_body.results.storage.frame_archive import (
-    Entry,
     FrameArchive,
     Place,
     Stored,
@@ -64,8 +64,8 @@ class FrameFiles:
         # The digest of the last frame, once it is known.
         self._last: str | None = None
         self._read = lru_cache(KEPT_IN_MEMORY)(self._load)
-        # What the archive needs of the frames that were stored or read by this object.
-        self._entries: dict[int, Entry] = {}
+        # What the archive needs of the last frames, those that were stored by this object.
+        self._entries = Entries()
 
     def path(self, index: int) -> Path:
         """Return the file of a frame."""
@@ -127,7 +127,7 @@ class FrameFiles:
             stored = self.thinning(result, number)
             save_frame(self._whole_path(number), result, place)
         self._last = save_frame(self.path(number), stored, place)
-        self._entries[number] = _entry_of(stored, self._last)
+        self._entries.append(_entry_of(stored, self._last))
         if number:
             self._whole_path(number - 1).unlink(missing_ok=True)
         self._read.cache_clear()
@@ -145,13 +145,15 @@ class FrameFiles:
             return
         if not self._count:
             make_folder(self.folder)
-        contents, entries, digest = dict[Path, bytes](), dict[int, Entry](), self.last_digest
+        contents, entries, digest = dict[Path, bytes](), list[Entry](), self.last_digest
         for number, result in enumerate(results, self._count):
             content, digest = packed(result, Place(self.run, number, digest))
-            contents[self.path(number)], entries[number] = content, _entry_of(result, digest)
+            contents[self.path(number)] = content
+            entries.append(_entry_of(result, digest))
         write_together(contents)
         self._last = digest
-        self._entries |= entries
+        for entry in entries:
+            self._entries.append(entry)
         self._read.cache_clear()
         self._count += len(results)
 
@@ -201,7 +203,9 @@ class FrameFiles:
             return True
         first = self._stored(0)
         names = in_posterior(arrays_of(first.result, first.place))
-        entries = [self._entries.get(index) or self._entry(index) for index in range(self._count)]
+        entries, before = Entries(), self._count - len(self._entries)
+        for index in range(self._count):
+            entries.append(self._entries[index - before] if index >= before else self._entry(index))
         archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, first.place.run, names, entries, last_first, trusted=True)
         try:
             for index in watch(range(self._count)):
@@ -229,7 +233,7 @@ class FrameFiles:
     def _end_before(self, index: int, damage: str) -> str:
         can_go_on = self.thinning is None or self._whole_path(index - 1).exists()
         self._count, self._last = index if can_go_on else 0, None
-        self._entries.clear()
+        self._entries = Entries()
         self._read.cache_clear()
         return damage
 
