@@ -42,6 +42,7 @@ def gait(
     from bayes_body.results.clinical.determined import undetermined_angles
     from bayes_body.results.clinical.gait import POINTS, gait_of
     from bayes_body.results.clinical.gait_table import event_rows, walk_rows, write_gait
+    from bayes_body.results.clinical.paths import sd_path
     from bayes_body.results.clinical.ranges import ranges_of, stride_ranges
     from bayes_body.results.clinical.trajectories import angle_paths, marker_paths
     from bayes_body.results.storage.saved_run import load_run
@@ -52,7 +53,7 @@ def gait(
         up = "xyz".index(saved.session.up)
         walk = gait_of(marker_paths(saved, POINTS), saved.fps, up)
         angles = angle_paths(saved.tree, saved.model, up, saved.fps)
-        undetermined = undetermined_angles(saved.model, up, angles.labels, angles.degrees.std(axis=0))
+        undetermined = undetermined_angles(saved.model, up, angles.labels, sd_path(angles.degrees))
         ranges = [*ranges_of(angles), *stride_ranges(angles, walk, saved.fps)]
     make_folder(path.parent)
     write_gait(walk, path, ranges)

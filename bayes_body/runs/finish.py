@@ -17,6 +17,7 @@ from bayes_body.model.build import Model
 from bayes_body.recording.observation.frame_pairs import pair_sentences
 from bayes_body.recording.session.session import Session
 from bayes_body.results.clinical.determined import undetermined_angles
+from bayes_body.results.clinical.paths import sd_path
 from bayes_body.results.clinical.ranges import range_figures, ranges_of
 from bayes_body.results.clinical.trajectories import angle_paths
 from bayes_body.results.metrics import summarise
@@ -164,7 +165,7 @@ def _angles(session: Session, model: Model, results: Results) -> dict[str, Any]:
     with results.posterior() as tree:
         up = "xyz".index(session.up)
         paths = angle_paths(tree, model, up, session.fps)
-        return range_figures(ranges_of(paths), undetermined_angles(model, up, paths.labels, paths.degrees.std(axis=0)))
+        return range_figures(ranges_of(paths), undetermined_angles(model, up, paths.labels, sd_path(paths.degrees)))
 
 
 def check_pairs(session: Session, model: Model, frames: int, show: Show, bar: bool) -> list[str]:

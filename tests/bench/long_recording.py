@@ -83,6 +83,8 @@ def commands(folder: Path, particles: int, draws: int) -> dict[str, tuple[list[s
     track = ["track", str(folder / "session"), "--out", str(tracked), "--model", "keypoints", "--kernel", "laplace", "--runs", "2"]
     track += ["--particles", str(particles), "--keep", f"draws={draws}", "--no-pictures"]
     smooth = ["smooth", str(tracked), "--out", str(smoothed), "--draws", str(draws), "--no-pictures"]
+    # What was stopped goes on.
+    track, smooth = (command + (["--resume"] if out.exists() else []) for command, out in ((track, tracked), (smooth, smoothed)))
     table = {"track": (track, [tracked]), "smooth": (smooth, [smoothed])}
     for name, run in (("tracked", tracked), ("smoothed", smoothed)):
         table[f"report, {name}"] = (["report", str(run), "--overwrite"], [run / "report.html"])
@@ -91,7 +93,8 @@ def commands(folder: Path, particles: int, draws: int) -> dict[str, tuple[list[s
         out = smoothed / f"motion.{kind}"
         table[f"export {kind}"] = (["export", str(smoothed), "--to", kind, "--out", str(out), "--overwrite"], [out])
     table["gait"] = (["gait", str(smoothed), "--overwrite"], [smoothed / "gait.csv"])
-    table["pictures, tracked"] = (["track", *track[1:-1], "--resume"], [tracked / "overlay.mp4", tracked / "overlay"])
+    pictures = [word for word in track if word not in ("--no-pictures", "--resume")]
+    table["pictures, tracked"] = ([*pictures, "--resume"], [tracked / "overlay.mp4", tracked / "overlay"])
     return table
 
 

@@ -8,7 +8,7 @@ $t = t_{extremum} - b - s_{walk} u - s_{event} v$, with u for all events of one 
 four degrees of freedom, because the error was measured on five people.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from bayes_body.base.errors import input_error
+from bayes_body.results.clinical.paths import PathsOfDraws, mean_path
 
 type Kind = Literal["foot strike", "toe off"]
 type FootSide = Literal["r", "l"]
@@ -95,11 +96,11 @@ class Gait(NamedTuple):
     strides: tuple[Stride, ...]
 
 
-def gait_of(paths: Float[np.ndarray, "draw frame 4 3"], fps: float, up: int) -> Gait:
-    """Return the gait of the draws of a walk.
+def gait_of(paths: PathsOfDraws, fps: float, up: int) -> Gait:
+    """Return the gait of the draws of a walk. One draw is in memory at a time.
 
     Args:
-        paths: positions of the markers POINTS, metres; each draw is a whole trajectory.
+        paths: positions (draw, frame, 4, 3) of the markers POINTS, metres; each draw is a whole trajectory.
         fps: frames a second.
         up: index of the axis that points up.
 
@@ -109,22 +110,26 @@ def gait_of(paths: Float[np.ndarray, "draw frame 4 3"], fps: float, up: int) -> 
     least = int(np.ceil(fps * SHORTEST_S))
     if paths.shape[1] < max(least, FEWEST_FRAMES):
         raise input_error("gait", f"{paths.shape[1]} frames", f"at least {max(least, FEWEST_FRAMES)}: a short stride", "track a longer recording")
-    # The mean path is one more draw: its events are those that the draws' are assigned to.
-    smooth = low_pass(np.concatenate([paths, paths.mean(axis=0, keepdims=True)]), fps)
+    # The mean path's events are those that the draws' are assigned to.
+    mean = low_pass(mean_path(paths)[None], fps)[0]
+    least_swing = {side: PROMINENCE * float(np.percentile(_leg_lengths(mean, side), 95)) for side in FEET}
+    mean_extrema = _extrema(mean, fps, up, least_swing)
+    extrema = [_extrema(low_pass(path[None], fps)[0], fps, up, least_swing) for path in paths]
     rng = np.random.default_rng(SEED)
     # What the method misses in a whole walk is the same for both feet.
     walks = [error.mean + error.walks * rng.standard_t(FREEDOM, size=len(paths)) for error in (CONTACT, LIFT)]
-    events, strides = [], []
+    events, strikes_of, lifts_of = [], {}, {}
     for side in FEET:
-        hip, ankle = (smooth[:, :, POINTS.index(f"{side}_{joint}")] for joint in ("hip", "ankle"))
-        ankle_lead = _measure_ankle_lead(smooth, ankle, fps, up)
-        least_swing = PROMINENCE * float(np.percentile(np.linalg.norm(hip[-1] - ankle[-1], axis=-1), 95))
-        strikes, lifts = (
-            [time - walk - error.events * rng.normal(size=len(paths)) for time in _times(sign * ankle_lead, fps, least_swing)]
-            for sign, walk, error in zip((1, -1), walks, (CONTACT, LIFT), strict=True)
+        strikes_of[side], lifts_of[side] = (
+            [
+                time - walk - error.events * rng.normal(size=len(paths))
+                for time in _times([times[side][kind] for times in extrema], mean_extrema[side][kind])
+            ]
+            for kind, walk, error in zip((0, 1), walks, (CONTACT, LIFT), strict=True)
         )
-        events += [Event("foot strike", side, times) for times in strikes] + [Event("toe off", side, times) for times in lifts]
-        strides += _strides(side, strikes, lifts, np.delete(ankle[:-1], up, axis=-1), fps)
+        events += [Event("foot strike", side, times) for times in strikes_of[side]] + [Event("toe off", side, times) for times in lifts_of[side]]
+    places = _strike_places(paths, strikes_of, fps, up)
+    strides = [stride for side in FEET for stride in _strides(side, strikes_of[side], lifts_of[side], places[side])]
     return Gait(tuple(sorted(events, key=_when)), tuple(sorted(strides, key=lambda stride: float(np.nanmean(stride.start)))))
 
 
@@ -155,20 +160,34 @@ def low_pass(paths: Float[np.ndarray, "draw frame *of"], fps: float) -> Float[np
     return sosfiltfilt(sections, paths, axis=1, padlen=min(int(fps), paths.shape[1] - 1))
 
 
+def _ankle(path: Float[np.ndarray, "frame 4 3"], side: FootSide) -> Float[np.ndarray, "frame 3"]:
+    return path[:, POINTS.index(f"{side}_ankle")]
+
+
+def _leg_lengths(path: Float[np.ndarray, "frame 4 3"], side: FootSide) -> Float[np.ndarray, " frame"]:
+    return np.linalg.norm(path[:, POINTS.index(f"{side}_hip")] - _ankle(path, side), axis=-1)
+
+
+def _extrema(
+    smooth: Float[np.ndarray, "frame 4 3"], fps: float, up: int, least_swing: Mapping[FootSide, float]
+) -> dict[FootSide, tuple[Float[np.ndarray, " maximum"], Float[np.ndarray, " minimum"]]]:
+    """Return the times, s, at which the ankle of each side is farthest ahead of the pelvis of a path, and farthest behind."""
+    leads = {side: _measure_ankle_lead(smooth, _ankle(smooth, side), fps, up) for side in FEET}
+    return {side: (_maxima(lead, fps, least_swing[side]), _maxima(-lead, fps, least_swing[side])) for side, lead in leads.items()}
+
+
 def _measure_ankle_lead(
-    smooth: Float[np.ndarray, "draw frame 4 3"], ankle: Float[np.ndarray, "draw frame 3"], fps: float, up: int
-) -> Float[np.ndarray, "draw frame"]:
+    smooth: Float[np.ndarray, "frame 4 3"], ankle: Float[np.ndarray, "frame 3"], fps: float, up: int
+) -> Float[np.ndarray, " frame"]:
     """Return how far the ankle is ahead of the pelvis, metres, along the direction that the pelvis faces on average over a stride."""
-    hip_axis = uniform_filter1d(smooth[:, :, 0] - smooth[:, :, 1], max(int(FACING_S * fps), 1), axis=1, mode="nearest")
+    hip_axis = uniform_filter1d(smooth[:, 0] - smooth[:, 1], max(int(FACING_S * fps), 1), axis=0, mode="nearest")
     forward = np.cross(hip_axis, np.eye(3)[up])
     forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
-    return np.einsum("sfa,sfa->sf", ankle - smooth[:, :, :2].mean(axis=2), forward)
+    return np.einsum("fa,fa->f", ankle - smooth[:, :2].mean(axis=1), forward)
 
 
-def _times(values: Float[np.ndarray, "row frame"], fps: float, least: float) -> list[Float[np.ndarray, " draw"]]:
-    """Return the times of the maxima of the last row, the mean path, in each other row, a draw, s; NaN where a draw has none nearby."""
-    maxima = [_maxima(row, fps, least) for row in values]
-    draws, mean = maxima[:-1], maxima[-1]
+def _times(draws: Sequence[Float[np.ndarray, " _"]], mean: Float[np.ndarray, " event"]) -> list[Float[np.ndarray, " draw"]]:
+    """Return the times of the events of the mean path in each draw, s; NaN where a draw has none nearby."""
     if not len(mean):
         return []
     times = np.full((len(mean), len(draws)), np.nan)
@@ -187,17 +206,29 @@ def _maxima(row: Float[np.ndarray, " frame"], fps: float, least: float) -> Float
     return (peaks + np.where(bend < 0, (left_height - right_height) / np.where(bend < 0, 2 * bend, 1), 0.0)) / fps
 
 
+def _strike_places(
+    paths: PathsOfDraws, strikes: Mapping[FootSide, Sequence[Float[np.ndarray, " draw"]]], fps: float, up: int
+) -> dict[FootSide, Float[np.ndarray, "strike draw 2"]]:
+    """Return where the ankle is at each strike, metres, in the horizontal plane."""
+    frames = {side: fps * np.array(times).reshape(-1, len(paths)) for side, times in strikes.items()}
+    places = {side: np.zeros((*times.shape, 2)) for side, times in frames.items()}
+    for draw, path in enumerate(paths):
+        smooth = low_pass(path[None], fps)[0]
+        for side, times in frames.items():
+            places[side][:, draw] = _interpolate(np.delete(_ankle(smooth, side), up, axis=-1), times[:, draw])
+    return places
+
+
 def _strides(
     side: FootSide,
-    strikes: list[Float[np.ndarray, " draw"]],
-    lifts: list[Float[np.ndarray, " draw"]],
-    floor: Float[np.ndarray, "draw frame 2"],
-    fps: float,
+    strikes: Sequence[Float[np.ndarray, " draw"]],
+    lifts: Sequence[Float[np.ndarray, " draw"]],
+    places: Float[np.ndarray, "strike draw 2"],
 ) -> list[Stride]:
-    """Return the strides of a foot from its strikes, in order; `floor` is the ankle's horizontal position."""
+    """Return the strides of a foot from its strikes, in order; `places` are where the ankle is at them."""
     strides = []
-    for first, last in pairwise(strikes):
-        length = np.linalg.norm(_interpolate(floor, last * fps) - _interpolate(floor, first * fps), axis=-1)
+    for (first, start), (last, end) in pairwise(zip(strikes, places, strict=True)):
+        length = np.linalg.norm(end - start, axis=-1)
         inside = [lift for lift in lifts if np.nanmean(first) < np.nanmean(lift) < np.nanmean(last)]
         stance = (inside[0] - first) / (last - first) if inside else np.full(len(first), np.nan)
         if np.isfinite(length).any():
@@ -205,10 +236,9 @@ def _strides(
     return strides
 
 
-def _interpolate(floor: Float[np.ndarray, "draw frame 2"], frames: Float[np.ndarray, " draw"]) -> Float[np.ndarray, "draw 2"]:
+def _interpolate(floor: Float[np.ndarray, "frame 2"], frames: Float[np.ndarray, " strike"]) -> Float[np.ndarray, "strike 2"]:
     """Return the positions at times between frames; NaN where the time is."""
-    is_finite: Bool[np.ndarray, " draw"] = np.isfinite(frames)
-    lower = np.clip(np.floor(np.where(is_finite, frames, 0)).astype(int), 0, floor.shape[1] - 2)
+    is_finite: Bool[np.ndarray, " strike"] = np.isfinite(frames)
+    lower = np.clip(np.floor(np.where(is_finite, frames, 0)).astype(int), 0, len(floor) - 2)
     share = (np.where(is_finite, frames, np.nan) - lower)[:, None]
-    draws = np.arange(len(floor))
-    return (1 - share) * floor[draws, lower] + share * floor[draws, lower + 1]
+    return (1 - share) * floor[lower] + share * floor[lower + 1]

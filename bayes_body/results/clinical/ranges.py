@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.results.clinical.conventions import Side
-from bayes_body.results.clinical.gait import Gait, Stride
+from bayes_body.results.clinical.gait import FEET, Gait, Stride
 from bayes_body.results.clinical.trajectories import AnglePaths
 
 
@@ -47,37 +47,35 @@ class AngleRange(NamedTuple):
 
 def ranges_of(paths: AnglePaths) -> list[AngleRange]:
     """Return the ranges over the whole recording."""
-    largest, smallest = paths.degrees.max(axis=1), paths.degrees.min(axis=1)
+    largest, smallest = (np.stack([of(path, axis=0) for path in paths.degrees]) for of in (np.max, np.min))
     return [AngleRange(name, side, 0, "", largest[:, k], smallest[:, k]) for k, (name, side) in enumerate(zip(paths.names, paths.sides, strict=True))]
 
 
 def stride_ranges(paths: AnglePaths, gait: Gait, fps: float) -> list[AngleRange]:
     """Return the ranges in each stride: of the angles of its side and of those in the middle of the body."""
+    columns = {foot: [k for k, side in enumerate(paths.sides) if side in (foot, "")] for foot in FEET}
+    ends = [np.full((2, len(paths.draws), len(columns[stride.side])), np.nan) for stride in gait.strides]
+    for draw, path in enumerate(paths.degrees if gait.strides else ()):
+        for stride, (largest, smallest) in zip(gait.strides, ends, strict=True):
+            values = _within(path, stride, int(paths.draws[draw]), fps)[:, columns[stride.side]]
+            if values.size:
+                largest[draw], smallest[draw] = values.max(axis=0), values.min(axis=0)
     ranges, count = [], {"r": 0, "l": 0}
-    for stride in gait.strides:
+    for stride, (largest, smallest) in zip(gait.strides, ends, strict=True):
         count[stride.side] += 1
-        columns = [k for k, side in enumerate(paths.sides) if side in (stride.side, "")]
-        largest, smallest = _within(paths, columns, stride, fps)
         ranges += [
             AngleRange(paths.names[k], paths.sides[k], count[stride.side], stride.side, largest[:, place], smallest[:, place])
-            for place, k in enumerate(columns)
+            for place, k in enumerate(columns[stride.side])
         ]
     return ranges
 
 
-def _within(
-    paths: AnglePaths, columns: list[int], stride: Stride, fps: float
-) -> tuple[Float[np.ndarray, "draw column"], Float[np.ndarray, "draw column"]]:
-    """Return the largest and the smallest values of each draw between the two strikes of its stride."""
-    begin, duration = fps * stride.start[paths.draws], fps * stride.duration[paths.draws]
-    is_finite = np.isfinite(begin + duration)
-    largest, smallest = np.full((2, len(begin), len(columns)), np.nan)
-    for draw in np.flatnonzero(is_finite):
-        first = max(int(np.ceil(begin[draw])), 0)
-        values = paths.degrees[draw, first : int(begin[draw] + duration[draw]) + 1, columns]
-        if values.size:
-            largest[draw], smallest[draw] = values.max(axis=-1), values.min(axis=-1)
-    return largest, smallest
+def _within(path: Float[np.ndarray, "frame angle"], stride: Stride, draw: int, fps: float) -> Float[np.ndarray, "inside angle"]:
+    """Return the values of a path between the two strikes of a stride; none if the draw lacks one of them."""
+    begin, duration = fps * stride.start[draw], fps * stride.duration[draw]
+    if not np.isfinite(begin + duration):
+        return path[:0]
+    return path[max(int(np.ceil(begin)), 0) : int(begin + duration) + 1]
 
 
 def range_figures(ranges: list[AngleRange], undetermined: Collection[str] = ()) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def angles_against_truth(model: Model, clouds: Clouds, truth: TrueAngles) -> Ang
     posed = replace(body, placement=ByAngles())
     rotations = np.asarray(joint_frames(posed, jnp.asarray(truth.poses, body.lengths.dtype)).rotation, float)
     true = [np.degrees(joint.angles(rotations)) for joint in joints]
-    columns = [determined(joint, degrees[None]) for joint, degrees in zip(joints, true, strict=True)]
+    columns = [determined(joint, degrees) for joint, degrees in zip(joints, true, strict=True)]
     true_deg = np.concatenate([degrees[:, chosen] for degrees, chosen in zip(true, columns, strict=True)], axis=1)
 
     def angles_of(poses: NDArray[np.floating]) -> Float[np.ndarray, "particle angle"]:

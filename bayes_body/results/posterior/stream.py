@@ -1,8 +1,8 @@
 """Convert draws to an ArviZ DataTree, and write it as `posterior.nc` frame by frame in bounded memory, for xarray and ArviZ.
 
 The groups `posterior` and `sample_stats` are stored in chunks: all draws of one run in some frames. The group `filter` has a few numbers per frame,
-and each of its variables is stored in one chunk, or of a long recording in chunks of a megabyte. All chunks have checksums, which HDF5 verifies when it reads them. The file depends neither on
-when it was written nor on how often the run was resumed.
+and each of its variables is stored in one chunk, or of a long recording in chunks of a megabyte. All chunks have checksums, which HDF5 verifies when
+it reads them. The file depends neither on when it was written nor on how often the run was resumed.
 
 In the tree, a chain is an independent run of the filter, a draw is a particle, and the weights are stored with the draws. `tree_on_demand` reads the
 arrays from the frames when they are needed, so that memory does not grow with the number of frames.

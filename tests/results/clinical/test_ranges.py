@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from bayes_body.results.clinical import paths as path_files
 from bayes_body.results.clinical.conventions import ELBOW, SHOULDER
 from bayes_body.results.clinical.gait import Gait, Stride, low_pass
 from bayes_body.results.clinical.joints import Joint
+from bayes_body.results.clinical.paths import IN_MEMORY, StoredPaths, mean_path, sd_path
 from bayes_body.results.clinical.ranges import range_figures, ranges_of, stride_ranges
-from bayes_body.results.clinical.trajectories import AnglePaths, _aligned, determined
+from bayes_body.results.clinical.trajectories import AnglePaths, align, determined
 
 FPS, FRAMES, DRAWS = 50.0, 200, 400
 
@@ -62,16 +64,18 @@ def test_whole_turns_do_not_count():
     turning = np.linspace(150, 260, FRAMES)[None, :, None] + np.array([-1.0, 0.0, 1.0])[:, None, None]
     wrapped = (turning + 180) % 360 - 180
     # Draws that begin on another turn.
-    found = _aligned(wrapped + 360 * np.array([1, -2, 0])[:, None, None])
+    found = StoredPaths(wrapped.shape)
+    found.write(0, wrapped + 360 * np.array([1, -2, 0])[:, None, None])
+    align(found)
     # The mean of the first draw, 204°, is read as -156°.
-    np.testing.assert_allclose(found, turning - 360, atol=1e-9)
+    np.testing.assert_allclose(list(found), turning - 360, atol=1e-9)
 
 
 def test_what_gimbal_lock_leaves_open_is_left_out():
     def joint(convention, free=(0, 1, 2)):
         return Joint(convention, "r", -1, 0, np.eye(3), np.eye(3), free)
 
-    angles = np.zeros((5, FRAMES, 3))
+    angles = np.zeros((FRAMES, 3))
     # The arm hangs, in one frame.
     angles[..., 1] = 40 * np.ones(FRAMES) - 30 * (np.arange(FRAMES) == 7)
     assert determined(joint(SHOULDER), angles) == [1] and determined(joint(ELBOW), angles) == [0, 1, 2]
@@ -86,3 +90,19 @@ def test_noise_that_is_faster_than_people_does_not_make_a_peak():
     slow = 30 * np.sin(2 * np.pi * np.arange(FRAMES) / FPS)[None, :, None]
     raw, filtered = ((slow + noise).max(axis=1), low_pass(slow + noise, FPS).max(axis=1))
     assert raw.mean() > 33 and filtered.mean() == pytest.approx(30, abs=1.5)
+
+
+def test_paths_that_do_not_fit_in_memory_are_the_same_from_a_file(monkeypatch):
+    values = np.random.default_rng(2).normal(size=(6, 40, 3))
+    stored = []
+    for size in (IN_MEMORY, 1000):
+        monkeypatch.setattr(path_files, "IN_MEMORY", size)
+        stored.append(StoredPaths(values.shape))
+        for first in range(0, 40, 16):
+            stored[-1].write(first, values[:, first : first + 16])
+    for each in stored:
+        np.testing.assert_array_equal(list(each), values)
+        np.testing.assert_allclose(mean_path(each), values.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(sd_path(each), values.std(axis=0), rtol=1e-12)
+    # Of the second, nothing was left in memory.
+    assert [each._file._rolled for each in stored] == [False, True]
