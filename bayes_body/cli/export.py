@@ -12,7 +12,7 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
-    from bayes_body.view.export.motion import Motion
+    from bayes_body.view.export.motion import LongMotion
     from bayes_body.view.export.world import Axis
 
 
@@ -63,7 +63,7 @@ def export(
             say(f"{file}")
 
 
-def _report(motions: "Mapping[str, Motion]", kernel: str, smoothed: bool) -> Iterator[str]:
+def _report(motions: "Mapping[str, LongMotion]", kernel: str, smoothed: bool) -> Iterator[str]:
     motion = next(iter(motions.values()))
     by_axis: dict[str, list[str]] = {}
     for name, named_motion in motions.items():

@@ -260,7 +260,8 @@ def exported(run, folder):
     """The motions by format, and the paths of the files, of which all have y up."""
     paths = {name: folder / f"walk.{name}" for name in FORMATS}
     with load_run(run) as saved:
-        return export_formats(saved, paths, up="y", spread=True), paths
+        written = export_formats(saved, paths, up="y", spread=True)
+        return {name: motion.whole for name, motion in written.items()}, paths
 
 
 def differences(run, folder):

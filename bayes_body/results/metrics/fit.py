@@ -10,6 +10,7 @@ cylinder is the convex hull of its two end sections. The outline of a sphere is 
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -169,7 +170,8 @@ def silhouette_overlap(session: Session, draws: Draws, watch: Watch = unwatched)
 
 def result_fit(session: Session, model: Model, result: FrameResult, index: int, to_judge: bool = False) -> Fit:
     """Return the fit of each run's mean pose to the frame that was tracked; `to_judge` as in `frame_fit`."""
-    model = settled(model, result)
+    # The factors matter to no fit, and it would take longer to settle them than all else.
+    model = settled(replace(model, factors=()), result)
     return frame_fit(session, model, mean_pose(result, model), index, np.asarray(result.seen).tolist(), to_judge)
 
 

@@ -24,7 +24,7 @@ from bayes_body.base.geometry.transforms import Transform
 from bayes_body.model.body.placed_body import joint_transforms
 from bayes_body.model.body.placement import ByParts
 from bayes_body.model.body.solids import Body
-from bayes_body.view.export.motion import Motion
+from bayes_body.view.export.motion import LongMotion, Motion
 
 CENTIMETRES = 100.0
 # Rotations about the joint's own axes, in this order.
@@ -57,24 +57,32 @@ class Joints(NamedTuple):
     angles: Float[np.ndarray, "frame joint 3"]
 
 
-def write_bvh(motion: Motion, path: Path) -> None:
+def write_bvh(motion: Motion | LongMotion, path: Path) -> None:
     """Write the file; centimetres and degrees have six decimals.
 
     Raises:
         InputError: the body does not have exactly one root, or the file system does not accept the file.
     """
-    joints = joints_of(motion)
-    moving = np.array(joints.moving)
-    columns = [part for j in range(len(moving)) for part in ([joints.positions[:, j] * CENTIMETRES] if moving[j] else []) + [joints.angles[:, j]]]
-    # Adding 0 turns -0 into 0, here and below.
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("HIERARCHY\n" + "\n".join(_hierarchy(joints, 0, "")) + "\n")
-        file.write(f"MOTION\nFrames: {motion.frames}\nFrame Time: {1 / motion.fps:.10g}\n")
-        np.savetxt(file, np.round(np.concatenate(columns, axis=1), 6) + 0.0, fmt="%.6f")
+        before = None
+        for block in motion.blocks():
+            joints = joints_of(block, before)
+            before, moving = joints.angles[-1], joints.moving
+            if not block.skipped:
+                file.write("HIERARCHY\n" + "\n".join(_hierarchy(joints, 0, "")) + "\n")
+                file.write(f"MOTION\nFrames: {motion.frames}\nFrame Time: {1 / motion.fps:.10g}\n")
+            places = [joints.positions[:, j] * CENTIMETRES if moving[j] else joints.positions[:, j, :0] for j in range(len(moving))]
+            columns = [part for j, place in enumerate(places) for part in (place, joints.angles[:, j])]
+            # Adding 0 turns -0 into 0, here and below.
+            np.savetxt(file, np.round(np.concatenate(columns, axis=1), 6) + 0.0, fmt="%.6f")
 
 
-def joints_of(motion: Motion) -> Joints:
+def joints_of(motion: Motion, before: Float[np.ndarray, "joint 3"] | None = None) -> Joints:
     """Return the mean pose as a hierarchy of joints.
+
+    Args:
+        motion: some frames of a motion.
+        before: the angles in the frame before them, from which the angles go on.
 
     Raises:
         InputError: the body does not have exactly one root.
@@ -97,7 +105,7 @@ def joints_of(motion: Motion) -> Joints:
             back = np.swapaxes(W[:, parent], -1, -2)
             local[:, j], offsets[j] = back @ W[:, j], rest_places[j] - rest_places[parent]
             positions[:, j] = (back @ (origins[:, j] - origins[:, parent])[..., None])[..., 0]
-    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local))
+    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local, before))
 
 
 def _depth_first(body: Body) -> list[int]:
@@ -142,13 +150,14 @@ def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) 
     return ends
 
 
-def _euler(local: Float[np.ndarray, "frame joint 3 3"]) -> Float[np.ndarray, "frame joint 3"]:
+def _euler(local: Float[np.ndarray, "frame joint 3 3"], before: Float[np.ndarray, "joint 3"] | None) -> Float[np.ndarray, "frame joint 3"]:
     """Return Euler angles in degrees, without jumps of whole turns from frame to frame."""
     with warnings.catch_warnings():
         # If the middle angle is a quarter turn, only one combination of the other two matters: every choice gives the same rotation.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler(EULER).reshape(local.shape[:3])
-    return np.degrees(np.unwrap(angles, axis=0))
+    path = angles if before is None else np.concatenate([np.radians(before)[None], angles])
+    return np.degrees(np.unwrap(path, axis=0)[len(path) - len(angles) :])
 
 
 def _hierarchy(joints: Joints, j: int, indent: str) -> Iterator[str]:

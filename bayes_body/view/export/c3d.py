@@ -26,7 +26,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import replacing
 from bayes_body.results.clinical.gait import Event
 from bayes_body.results.posterior.moments import Moments
-from bayes_body.view.export.motion import Motion
+from bayes_body.view.export.motion import LongMotion, Motion
 
 LABELS = {"foot strike": "Foot Strike", "toe off": "Foot Off"}
 # Symbols of the labels.
@@ -105,7 +105,7 @@ MEANINGS = {
 }
 
 
-def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
+def write_c3d(motion: Motion | LongMotion, path: Path, spread: bool = False) -> None:
     """Write the file.
 
     Args:
@@ -118,7 +118,8 @@ def write_c3d(motion: Motion, path: Path, spread: bool = False) -> None:
     """
     if motion.frames > MOST_FRAMES:
         raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
-    moments = motion.moments if spread else ("mean",)
+    # The format counts so few frames that they fit in memory.
+    motion, moments = motion.whole, motion.moments if spread else ("mean",)
     residuals, step = _residuals(motion, moments)
     with replacing(path) as partial:
         # ezc3d appends its ending to any other.

@@ -4,8 +4,13 @@ CSV has one row for each frame; the columns' names end in their units. NPZ, for 
 units.
 """
 
+import shutil
+import tempfile
+import zipfile
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -13,11 +18,14 @@ from numpy.typing import NDArray
 
 from bayes_body.base.files.atomic import replacing
 from bayes_body.base.geometry import rigid
-from bayes_body.view.export.motion import Motion, Parts
+from bayes_body.view.export.motion import LongMotion, Motion, Parts
 from bayes_body.view.export.world import AXES, dof_axes, stated_axes
 
+# Up to this size, bytes, an array of an npz stays in memory until it is written.
+ARRAY_IN_MEMORY = 2**21
 
-def write_csv(motion: Motion, path: Path) -> None:
+
+def write_csv(motion: Motion | LongMotion, path: Path) -> None:
     """Write the file: `frame`, `time_s`, `lost` (0 or 1), then moments of markers, dofs or parts, and clinical angles; six decimals.
 
     A frame has its number in the recording; time begins at the first one. The dofs are followed by the axis of each angle of the root, a unit vector
@@ -28,11 +36,13 @@ def write_csv(motion: Motion, path: Path) -> None:
     Raises:
         InputError: the file system does not accept the file.
     """
-    names, columns = zip(*_columns(motion), strict=True)
-    values = np.column_stack([motion.first_frame + np.arange(motion.frames), motion.seconds, motion.lost, *columns])
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(["frame", "time_s", "lost", *names]) + "\n")
-        np.savetxt(file, values, fmt=["%d", "%.6f", "%d", *["%.6f"] * len(names)], delimiter=",")
+        for block in motion.blocks():
+            names, columns = zip(*_columns(block), strict=True)
+            if not block.skipped:
+                file.write(",".join(["frame", "time_s", "lost", *names]) + "\n")
+            values = np.column_stack([block.numbers, block.seconds, block.lost, *columns])
+            np.savetxt(file, values, fmt=["%d", "%.6f", "%d", *["%.6f"] * len(names)], delimiter=",")
 
 
 def _columns(motion: Motion) -> Iterator[tuple[str, Float[np.ndarray, " frame"]]]:
@@ -71,7 +81,7 @@ def _part_columns(parts: Parts, moments: Sequence[str]) -> Iterator[tuple[str, F
                 yield f"part_{part}_r{axis}_{name}_deg", getattr(parts.turns, name)[:, p, a]
 
 
-def write_npz(motion: Motion, path: Path) -> None:
+def write_npz(motion: Motion | LongMotion, path: Path) -> None:
     """Write the file.
 
     Arrays: `frame` (numbers in the recording), `time_s` (from the first one), `lost`, `fps`, `up`; `marker_names` and `marker_mean_m`,
@@ -84,36 +94,82 @@ def write_npz(motion: Motion, path: Path) -> None:
     Raises:
         InputError: the file system does not accept the file.
     """
+    with replacing(path) as partial, ExitStack() as stack:
+        by_frame, constant = dict[str, _GrowingArray](), dict[str, NDArray[Any]]()
+        for block in motion.blocks():
+            constant = _constant(block)
+            for name, values in _by_frame(block).items():
+                if name not in by_frame:
+                    by_frame[name] = stack.enter_context(_GrowingArray())
+                by_frame[name].append(values)
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
+            for name, values in constant.items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, values, allow_pickle=False)
+            for name, array in by_frame.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    array.write(member)
+
+
+class _GrowingArray:
+    """An array whose frames come in blocks. A large one is in a temporary file."""
+
+    def __init__(self) -> None:
+        self._file, self._frames = tempfile.SpooledTemporaryFile(ARRAY_IN_MEMORY), 0  # noqa: SIM115 (closed in `__exit__`)
+        self._dtype, self._shape = np.dtype(float), ()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Add frames, along the first axis."""
+        self._dtype, self._shape, self._frames = values.dtype, values.shape[1:], self._frames + len(values)
+        self._file.write(np.ascontiguousarray(values).tobytes())
+
+    def write(self, out: Any) -> None:
+        """Write the array in NumPy's format into an open file."""
+        header = {"descr": np.lib.format.dtype_to_descr(self._dtype), "fortran_order": False, "shape": (self._frames, *self._shape)}
+        np.lib.format.write_array_header_1_0(out, header)
+        self._file.seek(0)
+        shutil.copyfileobj(self._file, out)
+
+
+def _constant(motion: Motion) -> dict[str, NDArray[Any]]:
+    """Return the arrays that do not depend on the frame."""
     units, names = np.array(motion.dof_units, str), np.array(motion.dof_names, str)
-    arrays = {
-        "frame": motion.first_frame + np.arange(motion.frames),
-        "time_s": motion.seconds,
-        "lost": motion.lost,
+    axes = dof_axes(motion.body) if motion.dof_names else np.zeros((0, 3))
+    arrays: dict[str, NDArray[Any]] = {
         "fps": np.array(motion.fps),
         "up": np.array(motion.up),
         "marker_names": np.array(motion.marker_names, str),
         "angle_names": names[units == "deg"],
         "shift_names": names[units == "m"],
+        "angle_axes": axes[units == "deg"],
+        "shift_axes": axes[units == "m"],
     }
-    axes = dof_axes(motion.body) if motion.dof_names else np.zeros((0, 3))
-    arrays |= {"angle_axes": axes[units == "deg"], "shift_axes": axes[units == "m"]}
+    arrays |= {"clinical_names": np.array(motion.clinical.names, str)} if motion.clinical.names else {}
+    return arrays | ({} if motion.parts is None else {"part_names": np.array(motion.parts.names, str)})
+
+
+def _by_frame(motion: Motion) -> dict[str, NDArray[Any]]:
+    """Return the arrays (frame, ...)."""
+    units = np.array(motion.dof_units, str)
+    arrays: dict[str, NDArray[Any]] = {"frame": motion.numbers, "time_s": motion.seconds, "lost": motion.lost}
     for name in motion.moments:
         arrays[f"marker_{name}_m"] = getattr(motion.markers, name)
         values = getattr(motion.dofs, name)
         arrays[f"angle_{name}_deg"] = values[:, units == "deg"]
         arrays[f"shift_{name}_m"] = values[:, units == "m"]
     if motion.clinical.names:
-        arrays["clinical_names"] = np.array(motion.clinical.names, str)
         arrays |= {f"clinical_{name}_deg": getattr(motion.clinical.moments, name) for name in motion.moments}
-    if motion.parts is not None:
-        arrays |= _of_parts(motion.parts, motion.moments)
-    # The file is opened here, because NumPy would append an ending to a name.
-    with replacing(path) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    return arrays if motion.parts is None else arrays | _of_parts(motion.parts, motion.moments)
 
 
 def _of_parts(parts: Parts, moments: Sequence[str]) -> dict[str, NDArray[np.generic]]:
-    arrays: dict[str, NDArray[np.generic]] = {"part_names": np.array(parts.names, str), "part_quaternion_mean": parts.mean[..., 3:]}
+    arrays: dict[str, NDArray[np.generic]] = {"part_quaternion_mean": parts.mean[..., 3:]}
     arrays |= {f"part_{name}_m": getattr(parts.origins, name) for name in moments}
     # The mean rotation vector is 0: it starts from the mean quaternion.
     return arrays | {f"part_rotation_{name}_deg": getattr(parts.turns, name) for name in moments[1:]}

@@ -12,11 +12,11 @@ from bayes_body.view.export.bvh import write_bvh
 from bayes_body.view.export.c3d import write_c3d
 from bayes_body.view.export.csv import write_csv, write_npz
 from bayes_body.view.export.mot import mot_files, write_mot
-from bayes_body.view.export.motion import MODE_SEEKER_MOMENTS, Angles, Motion, RunMoments, read_motion
+from bayes_body.view.export.motion import MODE_SEEKER_MOMENTS, Angles, LongMotion, Motion, RunMoments
 from bayes_body.view.export.trc import trc_files, write_trc
 from bayes_body.view.export.world import Axis
 
-WRITERS: dict[str, Callable[[Motion, Path], None]] = {
+WRITERS: dict[str, Callable[[Motion | LongMotion, Path], None]] = {
     "trc": write_trc,
     "mot": write_mot,
     "csv": write_csv,
@@ -90,13 +90,13 @@ def export(
     Raises:
         InputError: as for `export_formats`.
     """
-    return export_formats(run, {name: out}, fps=fps, up=up, overwrite=overwrite, spread=spread)[name]
+    return export_formats(run, {name: out}, fps=fps, up=up, overwrite=overwrite, spread=spread)[name].whole
 
 
 def export_formats(
     run: SavedRun, outs: Mapping[str, Path], *, fps: float | None = None, up: Axis | None = None, overwrite: bool = False, spread: bool = False
-) -> dict[str, Motion]:
-    """Write a run's motion in several formats, and return it as each of them has it. What they share is computed once.
+) -> dict[str, LongMotion]:
+    """Write a run's motion in several formats, and return it as each of them has it. Of a run of few frames, what they share is computed once.
 
     Args:
         run: the run, loaded from its folder.
@@ -115,7 +115,7 @@ def export_formats(
     for out in outs.values():
         make_folder(out.parent)
     moments = RunMoments(run)
-    motions = {name: read_motion(moments, fps, up or USUAL_UP.get(name), ANGLES.get(name, "none"), name in WITH_EVENTS) for name in outs}
+    motions = {name: LongMotion(moments, fps, up or USUAL_UP.get(name), ANGLES.get(name, "none"), name in WITH_EVENTS) for name in outs}
     for name, motion in motions.items():
         writer = partial(write_c3d, spread=spread) if name == "c3d" else WRITERS[name]
         writer(motion, outs[name])

@@ -5,15 +5,15 @@ files (`walk_sd.sto`, `walk_q05.sto`, `walk_q50.sto` and `walk_q95.sto` beside `
 """
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import replacing
 from bayes_body.results.posterior.moments import Moments
-from bayes_body.view.export.motion import Motion
+from bayes_body.view.export.motion import LongMotion, Motion
 
 # The lines between `inDegrees` and `endheader`, as OpenSim's inverse kinematics writes them.
 UNITS = "Units are S.I. units (second, meters, Newtons, ...)"
@@ -27,7 +27,7 @@ def mot_files(path: Path, moments: Sequence[str] = Moments._fields) -> dict[str,
     return {"mean": path} | {name: path.with_stem(f"{path.stem}_{name}").with_suffix(".sto") for name in spread}
 
 
-def write_mot(motion: Motion, path: Path) -> None:
+def write_mot(motion: Motion | LongMotion, path: Path) -> None:
     """Write the files; eight decimals, as OpenSim does.
 
     Raises:
@@ -35,17 +35,25 @@ def write_mot(motion: Motion, path: Path) -> None:
     """
     if motion.up != "y":
         raise input_error("--up", f"{motion.up} with --to mot", "y, as OpenSim's models stand", "leave it out")
-    for name, file in mot_files(path, motion.moments).items():
-        with replacing(file) as partial:
-            _write(partial, motion, getattr(motion.clinical.moments, name))
+    with ExitStack() as stack:
+        files = {}
+        for moment, file in mot_files(path, motion.moments).items():
+            files[moment] = stack.enter_context(stack.enter_context(replacing(file)).open("w", encoding="utf-8", newline="\n"))
+        for block in motion.blocks():
+            for moment, file in files.items():
+                if not block.skipped:
+                    file.write("\n".join(_header(motion.frames, block.clinical.names)) + "\n")
+                # Adding 0 turns -0 into 0.
+                values = np.round(np.column_stack([block.seconds, getattr(block.clinical.moments, moment)]), 8) + 0.0
+                np.savetxt(file, values, fmt="%16.8f", delimiter="\t")
 
 
-def _write(path: Path, motion: Motion, values: Float[np.ndarray, "frame coordinate"]) -> None:
-    names = ["time", *motion.clinical.names]
-    header = [
+def _header(frames: int, coordinates: Sequence[str]) -> list[str]:
+    names = ["time", *coordinates]
+    return [
         "Coordinates",
         "version=1",
-        f"nRows={motion.frames}",
+        f"nRows={frames}",
         f"nColumns={len(names)}",
         "inDegrees=yes",
         "",
@@ -53,8 +61,5 @@ def _write(path: Path, motion: Motion, values: Float[np.ndarray, "frame coordina
         DEGREES,
         "",
         "endheader",
+        "\t".join(names),
     ]
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("\n".join([*header, "\t".join(names)]) + "\n")
-        # Adding 0 turns -0 into 0.
-        np.savetxt(file, np.round(np.column_stack([motion.seconds, values]), 8) + 0.0, fmt="%16.8f", delimiter="\t")

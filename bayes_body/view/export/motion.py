@@ -3,12 +3,13 @@
 The particles of a mode seeker are not a sample of the posterior. Of such a run only the means are exported.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from bayes_body.base.errors import InputError
 from bayes_body.model.body.placement import ByParts
@@ -16,12 +17,14 @@ from bayes_body.model.body.solids import Body
 from bayes_body.results.clinical.gait import POINTS, Event, gait_of
 from bayes_body.results.clinical.moments import Curves, clinical_angles, opensim_coordinates
 from bayes_body.results.clinical.trajectories import marker_paths
-from bayes_body.results.posterior.moments import Moments
+from bayes_body.results.posterior.moments import Moments, MomentsAndMedian
 from bayes_body.results.storage.saved_moments import angle_moments, marker_moments, mean_configurations
 from bayes_body.results.storage.saved_run import SavedRun
 from bayes_body.view.export.world import AXES, Axis, Order, order_of, turned_body, turned_dofs, turned_parts
 
 MODE_SEEKER_MOMENTS = ("mean",)
+# Frames of a motion in memory: a multiple of the frames that are read at once (`blocks.BLOCK`).
+FRAMES_AT_ONCE = 2048
 # Fields of `RunMoments` with angles, or none.
 type Angles = Literal["clinical", "opensim", "none"]
 
@@ -44,7 +47,7 @@ class Parts(NamedTuple):
 
 @dataclass(frozen=True)
 class Motion:
-    """A run's motion; all its independent filters have the same weight.
+    """A run's motion, or some frames of it; all its independent filters have the same weight.
 
     Attributes:
         title: title of the session.
@@ -59,10 +62,11 @@ class Motion:
             body is off the person (`frames_off` of `summary.json`).
         body: the run's body, in the axes of this motion.
         moments: the fields of `Moments` that are written; only the mean for a mode seeker.
-        first_frame: number of the first frame in the recording.
+        first_frame: number of the motion's first frame in the recording.
         parts: the parts of a loose-limbed body, in the axes of this motion; None if the body is placed by joint angles.
         clinical: clinical angles, degrees; for OpenSim the coordinates of its models, degrees and metres. Empty for formats that store neither.
         events: gait events of a smoothed run (`RunMoments.events`); empty for formats that store none.
+        skipped: number of frames of the motion before these.
     """
 
     title: str
@@ -80,6 +84,7 @@ class Motion:
     parts: Parts | None = None
     clinical: Curves = Curves((), Moments(*np.zeros((4, 0, 0))))
     events: tuple[Event, ...] = ()
+    skipped: int = 0
 
     @property
     def has_intervals(self) -> bool:
@@ -93,40 +98,64 @@ class Motion:
 
     @property
     def seconds(self) -> Float[np.ndarray, " frame"]:
-        """The time of each frame; the first is at 0, whatever its number."""
-        return np.arange(self.frames) / self.fps
+        """The time of each frame; the motion's first is at 0, whatever its number."""
+        return (self.skipped + np.arange(self.frames)) / self.fps
+
+    @property
+    def numbers(self) -> Int[np.ndarray, " frame"]:
+        """The number of each frame in the recording."""
+        return self.first_frame + self.skipped + np.arange(self.frames)
+
+    @property
+    def whole(self) -> "Motion":
+        """The motion itself: it is in memory. (`LongMotion` is not.)"""
+        return self
+
+    def blocks(self) -> Iterator["Motion"]:
+        """Yield the motion itself: it is in memory. (`LongMotion` yields some frames at a time.)"""
+        yield self
 
 
 class RunMoments:
-    """What the formats store of a run, in the session's axes. Each quantity is computed once, when a format asks for it."""
+    """What the formats store of some frames of a run, in the session's axes. Each quantity is computed once, when a format asks for it.
 
-    def __init__(self, run: SavedRun):
-        self.run = run
+    Args:
+        run: the run, loaded from its folder.
+        frames: numbers of the frames; all by default.
+        before: the motion of the frames before, in the session's axes and with the angles that are asked for. Turns and quaternions go on from it.
+    """
+
+    def __init__(self, run: SavedRun, frames: range | None = None, before: "Motion | None" = None):
+        self.run, self.frames, self.before = run, range(run.frames) if frames is None else frames, before
 
     @cached_property
     def markers(self) -> Moments:
         """Positions of the markers (`marker_moments`)."""
-        return marker_moments(self.run)
+        return marker_moments(self.run, self.frames)
 
     @cached_property
     def variables(self) -> Moments:
         """Dofs, or coordinates of the parts (`angle_moments`)."""
-        return angle_moments(self.run)
+        return angle_moments(self.run, self.frames)
 
     @cached_property
     def mean_parts(self) -> Float[np.ndarray, "frame part 7"]:
         """Mean transforms of the parts of a loose-limbed body."""
-        return mean_configurations(self.run)
+        return mean_configurations(self.run, self.frames)
 
     @cached_property
     def clinical(self) -> Curves:
         """Clinical angles (`clinical_angles`)."""
-        return clinical_angles(self.run)
+        return clinical_angles(self.run, self.frames, before=self._last_angles)
 
     @cached_property
     def opensim(self) -> Curves:
         """Coordinates of OpenSim's models (`opensim_coordinates`)."""
-        return opensim_coordinates(self.run)
+        return opensim_coordinates(self.run, self.frames, before=self._last_angles)
+
+    @property
+    def _last_angles(self) -> Float[np.ndarray, " name"] | None:
+        return None if self.before is None else self.before.clinical.moments.mean[-1]
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -159,7 +188,8 @@ def read_motion(
     run = run_moments.run
     order = order_of(run.session.up, up or run.session.up)
     parts = _parts(run_moments, order)
-    names, units, dofs = _dofs(run_moments, order) if parts is None else ((), (), Moments(*np.zeros((4, run.frames, 0))))
+    frames = run_moments.frames
+    names, units, dofs = _dofs(run_moments, order) if parts is None else ((), (), Moments(*np.zeros((4, len(frames), 0))))
     rate = run.fps if fps is None else fps
     return Motion(
         title=run.session.title,
@@ -170,14 +200,15 @@ def read_motion(
         dof_names=names,
         dof_units=units,
         dofs=dofs,
-        lost=lost_frames(run),
+        lost=lost_frames(run)[frames.start : frames.stop],
         body=turned_body(run.settled_model.body, order),
         moments=MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields,
         first_frame=run.first_frame,
         parts=parts,
-        clinical=Curves((), Moments(*np.zeros((4, run.frames, 0)))) if angles == "none" else getattr(run_moments, angles),
+        clinical=Curves((), Moments(*np.zeros((4, len(frames), 0)))) if angles == "none" else getattr(run_moments, angles),
         # Another rate moves the events as it moves the frames.
         events=tuple(event._replace(times=event.times * (run.fps / rate)) for event in run_moments.events) if events else (),
+        skipped=frames.start,
     )
 
 
@@ -203,11 +234,13 @@ def _parts(run_moments: RunMoments, order: Order) -> Parts | None:
     placement = run_moments.run.model.body.placement
     if not isinstance(placement, ByParts):
         return None
-    coordinates = [values.reshape(run_moments.run.frames, len(placement.names), 6) for values in run_moments.variables]
+    coordinates = [values.reshape(len(run_moments.frames), len(placement.names), 6) for values in run_moments.variables]
     origins = Moments(*(values[..., list(order)] for values in coordinates))
     # Rotation vectors are about the part's own axes, which do not change with those of the world.
     turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
-    return Parts(placement.names, _continued(turned_parts(run_moments.mean_parts, order)), origins, turns)
+    turned, before = turned_parts(run_moments.mean_parts, order), None if run_moments.before is None else run_moments.before.parts
+    path = turned if before is None else np.concatenate([before.mean[-1:], turned])
+    return Parts(placement.names, _continued(path)[len(path) - len(turned) :], origins, turns)
 
 
 def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "frame part 7"]:
@@ -215,3 +248,76 @@ def _continued(parts: Float[np.ndarray, "frame part 7"]) -> Float[np.ndarray, "f
     q = parts[..., 3:]
     signs = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).cumprod(axis=0)
     return np.concatenate([parts[..., :3], q * np.concatenate([np.ones_like(q[:1, :, 0]), signs])[..., None]], axis=-1)
+
+
+class LongMotion:
+    """The motion of a whole run, of which some frames at a time are in memory. `run`, `fps`, `up`, `angles` and `events` are those of `read_motion`.
+
+    Args:
+        moments: the moments of the whole run. A run of at most FRAMES_AT_ONCE frames takes its motion from them, so that formats share it.
+    """
+
+    def __init__(self, moments: RunMoments, fps: float | None, up: Axis | None, angles: Angles, events: bool):
+        self._moments, self._options = moments, (fps, up, angles)
+        self.run = run = moments.run
+        self.frames, self.fps, self.up = run.frames, run.fps if fps is None else fps, up or run.session.up
+        self.marker_names, self.first_frame, self.lost = run.model.body.markers.names, run.first_frame, lost_frames(run)
+        self.moments = MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields
+        self._with_events = events
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether standard deviations and quantiles are written."""
+        return self.moments != MODE_SEEKER_MOMENTS
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """As in `Motion`."""
+        # Another rate moves the events as it moves the frames.
+        return tuple(event._replace(times=event.times * (self.run.fps / self.fps)) for event in self._moments.events) if self._with_events else ()
+
+    def blocks(self) -> Iterator[Motion]:
+        """Yield the motion in blocks of frames.
+
+        Raises:
+            InputError: a file of the run cannot be used.
+        """
+        if self.frames <= FRAMES_AT_ONCE:
+            yield read_motion(self._moments, *self._options)
+            return
+        before = None
+        for start in range(0, self.frames, FRAMES_AT_ONCE):
+            frames = range(start, min(start + FRAMES_AT_ONCE, self.frames))
+            before = read_motion(RunMoments(self.run, frames, before), *self._options)
+            yield before
+
+    @cached_property
+    def whole(self) -> Motion:
+        """The motion of all frames, in memory.
+
+        Raises:
+            InputError: a file of the run cannot be used.
+        """
+        blocks = list(self.blocks())
+        curves = blocks[0].clinical
+        parts = [block.parts for block in blocks if block.parts is not None]
+        return replace(
+            blocks[0],
+            markers=_joined([block.markers for block in blocks]),
+            dofs=_joined([block.dofs for block in blocks]),
+            clinical=Curves(curves.names, _joined([block.clinical.moments for block in blocks])),
+            parts=Parts(
+                parts[0].names,
+                np.concatenate([part.mean for part in parts]),
+                _joined([part.origins for part in parts]),
+                _joined([part.turns for part in parts]),
+            )
+            if parts
+            else None,
+            lost=self.lost,
+            events=self.events,
+        )
+
+
+def _joined[M: (Moments, MomentsAndMedian)](pieces: Sequence[M]) -> M:
+    return type(pieces[0])(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))

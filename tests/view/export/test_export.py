@@ -11,6 +11,7 @@ from sealed import seal
 from bayes_body.base.errors import InputError
 from bayes_body.recording.readers.mocap.c3d import open_c3d
 from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.export import motion as motions
 from bayes_body.view.export.formats import export, export_formats, formats_in, targets
 from bayes_body.view.export.motion import read_motion
 
@@ -235,6 +236,28 @@ def test_a_list_of_formats_has_one_name_for_all_files(tmp_path):
     assert targets(("csv",), out, run) == {"csv": out}
     with pytest.raises(InputError, match=r"--out: .*walk\.csv for 3 formats; expected a name without an ending, or a folder; give --out .*walk,"):
         targets(names, tmp_path / "walk.csv", run)
+
+
+def test_a_long_run_is_written_in_blocks_of_frames(make_run, tmp_path, monkeypatch):
+    texts, arrays, folder = [], [], make_run()
+    for frames in (5, 2):
+        monkeypatch.setattr(motions, "FRAMES_AT_ONCE", frames)
+        outs = {name: tmp_path / str(frames) / f"arm.{name}" for name in ("trc", "csv", "npz", "bvh", "c3d")}
+        with load_run(folder) as run:
+            written = export_formats(run, outs, up="y")
+            assert [block.frames for block in written["csv"].blocks()] == ([5] if frames == 5 else [2, 2, 1])
+            assert written["csv"].whole.seconds.tolist() == [k / 60 for k in range(5)]
+        texts.append({path.name: path.read_bytes() for path in (tmp_path / str(frames)).iterdir() if path.suffix != ".npz"})
+        with np.load(outs["npz"]) as file:
+            arrays.append(dict(file))
+    assert len(texts[0]) == 7 and texts[0] == texts[1] and arrays[0].keys() == arrays[1].keys()
+    for name, values in arrays[0].items():
+        # A sum over the draws of five frames at once may be rounded in another order.
+        assert arrays[1][name].dtype == values.dtype
+        if values.dtype.kind == "f":
+            np.testing.assert_allclose(arrays[1][name], values, rtol=1e-12, atol=1e-12)
+        else:
+            np.testing.assert_array_equal(arrays[1][name], values)
 
 
 def test_of_several_formats_none_is_written_if_a_file_is_there(make_run, tmp_path):
