@@ -2,8 +2,9 @@
 
 The room on the disk that a run needs: said before it begins.
 
-A particle takes its state, a weight and an ancestor. While a run goes on there is a file for each frame. When `posterior.nc` is complete, it has the
-same numbers, and the files are removed. So for a moment the run needs twice the room that it has in the end.
+A particle takes its state, a weight and an ancestor. While a run goes on there is a file for each frame, in which the names of the arrays take some
+ten thousand bytes more. When `posterior.nc` is complete, it has the same numbers, and the files are removed. So for a moment the run needs more than
+twice the room that it has in the end.
 """
 
 import os
@@ -11,7 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -80,9 +81,22 @@ def gigabytes(count: int) -> str:
 
 # Of each particle, besides its state: its weight and its ancestor.
 WEIGHT_AND_ANCESTOR_BYTES = 8
-# Of each frame and run: figures of the kernel, and names of the arrays.
-FRAME_BYTES = 3_000
+# Of each run in a frame: figures of the kernel. Of each array in the file of a frame: its name and its shape, twice.
+RUN_FIGURES_BYTES, ARRAY_BYTES = 100, 260
+# Arrays of a frame besides those of its state; figures of all particles of a thinned run besides two for each variable.
+ARRAYS, THINNED_ARRAYS = 21, 5
+# A file takes whole blocks of a disk: on average half of one is empty.
+HALF_BLOCK = 2048
+# From this size on, bytes, it is said how much smaller a thinned run is.
+LARGE, PROPOSED = 5_000_000_000, 200
 MEGABYTE = 1e6
+
+
+class FrameSize(NamedTuple):
+    """Bytes of a frame: in `posterior.nc`, and in its own file until that is complete."""
+
+    stored: int
+    file: int
 
 
 def disk_lines(out: Path, model: Model, options: Mapping[str, Any], runs: int, frames: int, done: int, keep: int | None) -> Iterator[str]:
@@ -98,25 +112,60 @@ def disk_lines(out: Path, model: Model, options: Mapping[str, Any], runs: int, f
         keep: number of draws of a frame and run that are stored; None for all particles.
     """
     particles = options["particles"]
-    whole = frame_bytes(model, particles, runs)
-    frame = whole if keep is None else frame_bytes(model, min(keep, particles), runs)
-    posterior = frames * frame
-    # The frames that are not stored yet, the posterior beside all frames, and of a thinned run the last frame with all its particles, twice.
-    needed = (frames - done) * frame + posterior + (0 if keep is None else 2 * whole)
-    free = shutil.disk_usage(out).free
-    yield (
-        f"disk       {megabytes(frames * frame)} for {frames} frames of {megabytes(frame)}, and as much again until posterior.nc is complete; "
-        f"pictures come on top; {megabytes(free)} are free"
-    )
+    thinned = keep is not None and keep < particles
+    frame = frame_size(model, min(keep, particles) if keep is not None else particles, runs, thinned)
+    # Of a thinned run, the last frame with all its particles, twice.
+    whole = 2 * frame_size(model, particles, runs).file if thinned else 0
+    remedy = "give fewer runs or draws" if keep is not None else "store fewer draws with --keep draws=200"
+    yield from _room(out, frame, frames, done, whole, remedy)
+    if keep is None and frames * frame.stored > LARGE and particles > PROPOSED:
+        smaller = frames * frame_size(model, PROPOSED, runs, True).stored
+        yield f"note: with --keep draws={PROPOSED} it is {megabytes(smaller)}; means, R-hat and other diagnostics stay those of all particles."
+
+
+def smoothing_lines(out: Path, model: Model, draws: int, runs: int, frames: int, done: int) -> Iterator[str]:
+    """Yield a line about the room that a smoothed run needs, without its pictures, and a warning if the disk has less.
+
+    Args:
+        out: the folder of the run, which exists.
+        model: as for `disk_lines`.
+        draws: number of paths of each run.
+        runs: number of runs of the filter.
+        frames: number of frames.
+        done: how many of them are stored already.
+    """
+    yield from _room(out, frame_size(model, draws, runs), frames, done, 0, "draw fewer paths with --draws 50")
+
+
+def _room(out: Path, frame: FrameSize, frames: int, done: int, beside: int, remedy: str) -> Iterator[str]:
+    stored, more, free = frames * frame.stored, frames * frame.file, shutil.disk_usage(out).free
+    room = f"{megabytes(stored)} for {frames} frames of {megabytes(frame.stored)}, and {megabytes(more)} more until posterior.nc is complete"
+    yield f"disk       {room}; pictures come on top; {megabytes(free)} are free"
+    # The frames that are not stored yet, and the posterior beside all frames.
+    needed = (frames - done) * frame.file + stored + beside
     if needed > free:
-        remedy = "free some space, or store fewer draws with --keep draws=200" if keep is None else "free some space, or give fewer runs or draws"
-        yield warning_line(f"the run will not fit on the disk: it needs {megabytes(needed)}, and {megabytes(free)} are free; {remedy}.")
+        fault = f"the run will not fit on the disk: it needs {megabytes(needed)}, and {megabytes(free)} are free"
+        yield warning_line(f"{fault}; free some space, or {remedy}.")
 
 
-def frame_bytes(model: Model, particles: int, runs: int) -> int:
-    """Return the size of a frame, bytes."""
-    state = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(dict(model.initial)))
-    return runs * (particles * (state + WEIGHT_AND_ANCESTOR_BYTES) + FRAME_BYTES)
+def frame_size(model: Model, draws: int, runs: int, thinned: bool = False) -> FrameSize:
+    """Return the size of a frame.
+
+    Args:
+        model: its state gives the size of a draw.
+        draws: number of draws of a run.
+        runs: number of runs.
+        thinned: whether the draws are some of the particles, so that figures of all are stored beside them.
+    """
+    leaves = jax.tree.leaves(dict(model.initial))
+    state = sum(np.asarray(leaf).nbytes for leaf in leaves)
+    stored = runs * (draws * (state + WEIGHT_AND_ANCESTOR_BYTES) + RUN_FIGURES_BYTES)
+    arrays = ARRAYS + len(leaves)
+    if thinned:
+        # The mean of each run, and R-hat, which has twice as many bytes.
+        stored += (runs + 2) * state
+        arrays += THINNED_ARRAYS + 2 * len(leaves)
+    return FrameSize(stored, stored + arrays * ARRAY_BYTES + HALF_BLOCK)
 
 
 def draws_to_keep(keep: int | None, options: Mapping[str, Any], show: Show) -> int | None:

@@ -26,6 +26,7 @@ from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.joint import check_joint, joint_paths
 from bayes_body.runs.progress import smoothing_bar
 from bayes_body.runs.settings import Record, refuse_occupied
+from bayes_body.runs.size import smoothing_lines
 from bayes_body.tracking.draws import Draws, timing_of
 from bayes_body.tracking.smooth import smooth
 
@@ -96,6 +97,8 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     if before:
         refuse_changes(settings.out, before, record)
     frames = _begin(settings.out, before, record, show)
+    for line in smoothing_lines(settings.out, model, options.draws, int(source.settings["runs"]), source.frames, len(frames)):
+        show(line)
     for note in _notes(source, joint):
         show(note)
     with remark_on_stop(frames, settings.out, show):

@@ -8,7 +8,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.cli.track import draws_of
 from bayes_body.model.build import build_model
-from bayes_body.runs.size import disk_lines, draws_to_keep, frame_bytes, megabytes
+from bayes_body.runs.size import LARGE, disk_lines, draws_to_keep, frame_size, megabytes, smoothing_lines
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -23,20 +23,32 @@ def lines(textured_session, tmp_path, monkeypatch):
         return list(disk_lines(tmp_path, model, {"particles": 2000}, 2, 1000, done, keep))
 
     # Four angles, a weight and an ancestor of 4 bytes each.
-    assert 1 < frame_bytes(model, 2000, 2) / (2 * 2000 * 24) < 1.1
+    assert 1 < frame_size(model, 2000, 2).stored / (2 * 2000 * 24) < frame_size(model, 2000, 2).file / (2 * 2000 * 24) < 1.1
     return call
 
 
 def test_a_line_names_the_room(lines):
-    expected = "disk       102 MB for 1000 frames of 0.1 MB, and as much again until posterior.nc is complete; pictures come on top; 500 MB are free"
+    expected = "disk       96 MB for 1000 frames of 0.096 MB, and 104 MB more until posterior.nc is complete; pictures come on top; 500 MB are free"
     assert lines(5e8) == [expected]
-    assert lines(5e8, keep=200)[0].startswith("disk       16 MB for 1000 frames of 0.016 MB")
+    assert lines(5e8, keep=200)[0].startswith("disk       9.9 MB for 1000 frames of 0.0099 MB")
 
 
-def test_a_disk_that_is_too_small_is_a_warning_with_a_remedy(lines):
+def test_a_long_recording_is_told_of_a_thinned_run(textured_session, tmp_path):
+    model = build_model("arm", textured_session)
+    frames = LARGE // frame_size(model, 2000, 2).stored
+
+    def said(count, keep=None):
+        return [line for line in disk_lines(tmp_path, model, {"particles": 2000}, 2, count, 0, keep) if line.startswith("note: ")]
+
+    (note,) = said(frames + 1)
+    assert note.startswith("note: with --keep draws=200 it is 5") and not said(frames) and not said(frames + 1, keep=200)
+
+
+def test_a_disk_that_is_too_small_is_a_warning_with_a_remedy(lines, textured_session, tmp_path):
     _, warning = lines(1.5e8)
-    said = "the run will not fit on the disk: it needs 204 MB, and 150 MB are free; free some space, or store fewer draws with --keep draws=200."
+    said = "the run will not fit on the disk: it needs 200 MB, and 150 MB are free; free some space, or store fewer draws with --keep draws=200."
     assert warning.startswith("warning") and warning.endswith(said)
+    assert "draw fewer paths with --draws 50" in list(smoothing_lines(tmp_path, build_model("arm", textured_session), 2000, 2, 10**9, 0))[1]
     # What is stored needs no more room.
     assert len(lines(1.5e8, done=600)) == 1
     assert len(lines(1.5e8, keep=200)) == 1 and "give fewer runs or draws" in lines(1e6, keep=200)[1]

@@ -17,6 +17,10 @@ from bayes_body.model.build import build_model
 from bayes_body.results.posterior import equal_weight, equal_weight_draws, markers, mean_poses, rhat, save_posterior, stream_posterior, to_datatree
 from bayes_body.results.posterior import stream as streaming
 from bayes_body.results.posterior.stream import tree_on_demand
+from bayes_body.results.posterior.thinning import thinning_of
+from bayes_body.results.storage.frame_archive import Place
+from bayes_body.results.storage.frame_files import packed
+from bayes_body.runs.size import HALF_BLOCK, frame_size
 from bayes_body.tracking.track import track
 
 RUNS, FRAMES, PARTICLES = 3, 5, 400
@@ -64,6 +68,20 @@ def test_the_streamed_file_is_the_tree(draws, tmp_path, monkeypatch, chunk_bytes
                 assert opened[group][name].dtype == array.dtype and opened[group][name].values.tobytes() == array.values.tobytes()
     with h5py.File(path) as file:
         assert file["posterior/pose"].chunks == (1, PARTICLES, frames, 4)
+        # Of a long recording, figures are stored in several chunks too.
+        assert file["filter/seen"].chunks == (1 if chunk_bytes == 1 else FRAMES, 2)
+
+
+@pytest.mark.parametrize("keep", [None, 50])
+def test_a_frame_takes_the_room_that_is_said_before_the_run(draws, tmp_path, keep):
+    thin = thinning_of(draws.model.transition, keep)
+    frames = draws.frames if thin is None else [thin(frame, number) for number, frame in enumerate(draws.frames)]
+    expected = frame_size(draws.model, keep or PARTICLES, RUNS, keep is not None)
+    stream_posterior(dataclasses.replace(draws, frames=frames), tmp_path / "posterior.nc")
+    with h5py.File(tmp_path / "posterior.nc") as file:
+        stored = sum(file[group][name].id.get_storage_size() for group in ("posterior", "sample_stats", "filter") for name in file[group]) / FRAMES
+    content, _ = packed(frames[0], Place(RUNS * "0123456789abcdef", 0, 64 * "0"))
+    assert stored == pytest.approx(expected.stored, rel=0.1) and len(content) + HALF_BLOCK == pytest.approx(expected.file, rel=0.1)
 
 
 def test_the_file_is_the_same_whenever_it_is_made(draws, tmp_path):
