@@ -1,5 +1,6 @@
 """`bayes-body gait`: foot strikes, toe offs, strides, cadence, speed and peak angles of a smoothed run, each with its uncertainty."""
 
+import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +22,8 @@ SIDES = {"r": "right", "l": "left", "": ""}
 MOST = 0.9
 # An angle that the images do not determine shows what the motion prior expects.
 NOT_DETERMINED = "not determined: as wide as the motion prior"
-# The angles that are printed; the file has all.
-LEGS = ("pelvic", "hip", "knee", "ankle")
+# The angles that are printed, and the most events; the file has all.
+LEGS, MOST_ROWS = ("pelvic", "hip", "knee", "ankle"), 100
 
 
 def gait(
@@ -39,6 +40,7 @@ def gait(
 
     configure()
     from bayes_body.base.files.atomic import check_free, make_folder
+    from bayes_body.base.progress import waiting
     from bayes_body.results.clinical.determined import undetermined_angles
     from bayes_body.results.clinical.gait import POINTS, gait_of
     from bayes_body.results.clinical.gait_table import event_rows, walk_rows, write_gait
@@ -51,17 +53,20 @@ def gait(
     check_free(path, overwrite)
     with own_terms(plugin), load_run(run) as saved:
         up = "xyz".index(saved.session.up)
-        walk = gait_of(marker_paths(saved, POINTS), saved.fps, up)
-        angles = angle_paths(saved.tree, saved.model, up, saved.fps)
-        undetermined = undetermined_angles(saved.model, up, angles.labels, sd_path(angles.degrees))
-        ranges = [*ranges_of(angles), *stride_ranges(angles, walk, saved.fps)]
+        with waiting("gait", sys.stderr.isatty()):
+            walk = gait_of(marker_paths(saved, POINTS), saved.fps, up)
+            angles = angle_paths(saved.tree, saved.model, up, saved.fps)
+            undetermined = undetermined_angles(saved.model, up, angles.labels, sd_path(angles.degrees))
+            ranges = [*ranges_of(angles), *stride_ranges(angles, walk, saved.fps)]
     make_folder(path.parent)
     write_gait(walk, path, ranges)
     if not walk.events:
         say("No steps were found.")
     for title, rows in (("The walk", walk_rows(walk)), ("Events, s from the first frame", event_rows(walk))):
         if rows:
-            show(_table(title, rows))
+            show(_table(title, rows[:MOST_ROWS]))
+        if len(rows) > MOST_ROWS:
+            say(f"... and {len(rows) - MOST_ROWS} more events: {path} has all.")
     legs = [angle_range for angle_range in ranges if not angle_range.stride and angle_range.name.startswith(LEGS)]
     if legs:
         show(_angle_table("Angles of the legs over the recording, degrees, with 90 % intervals", legs, undetermined))

@@ -7,12 +7,14 @@ import ezc3d
 import numpy as np
 import pytest
 
+import bayes_body.cli.gait as gait_command
 from bayes_body.model.build import body_of
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.readers.mocap.c3d import _text, open_c3d
 from bayes_body.results.clinical.gait import CONTACT, Event
 from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.view.export.c3d import add_events
+from bayes_body.view.report import gait as gait_report
 from bayes_body.view.report.gait import gait_section
 from bayes_body.view.report.inspection import Inspection
 
@@ -56,6 +58,14 @@ def test_the_command_prints_a_table_and_writes_all_strides(make_run, cli, monkey
         and f"{float(rows['speed', '', '0']['mean']):.3f}" in page
         and page.count("toe off") == sum("toe_off" in key for key in rows)
     )
+    # A long recording has thousands of events: the file has all of them.
+    events = sum(key[0] in ("foot_strike", "toe_off") for key in rows)
+    monkeypatch.setattr(gait_command, "MOST_ROWS", 3)
+    monkeypatch.setattr(gait_report, "MOST_EVENTS", 3)
+    assert f"... and {events - 3} more events: {folder / 'gait.csv'} has all." in " ".join(cli("gait", folder, "--overwrite").out.split())
+    with load_run(folder) as run:
+        page = gait_section(Inspection(run))
+    assert f"the first 3 of {events} events" in page and page.count("toe off") < 4 and f"writes all {events} events" in page
 
 
 def check_ranges(rows, printed):

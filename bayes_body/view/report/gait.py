@@ -11,6 +11,8 @@ from bayes_body.view.colours import SIDES as SIDE_COLOURS
 from bayes_body.view.report.inspection import Inspection
 from bayes_body.view.report.markup import Markup, details, section, table, tag
 
+# Rows of the table of events: a long recording has thousands.
+MOST_EVENTS = 200
 LEGEND = "Computed for each draw, which is a whole path of the smoothed run. The intervals include the error of the method."
 DOT = "display: inline-block; width: .7em; height: .7em; margin-right: .4em; border-radius: 50%; background: "
 SIDES = {side: Markup(f"{tag('i', style=DOT + SIDE_COLOURS[side])}{NAMES[side]}") for side in ("r", "l")} | {"": ""}
@@ -35,7 +37,11 @@ def gait_section(inspection: Inspection) -> Markup:
     parts = [tag("p", LEGEND)]
     if gait.strides:
         parts.append(_table("the walk", walk_rows(gait)))
-    parts.append(details(f"{len(gait.events)} events, s from the first frame", _table("event", event_rows(gait)), shown=not gait.strides))
+    first = f"the first {MOST_EVENTS} of " if len(gait.events) > MOST_EVENTS else ""
+    rows = event_rows(gait)[:MOST_EVENTS]
+    parts.append(details(f"{first}{len(gait.events)} events, s from the first frame", _table("event", rows), shown=not gait.strides))
+    if first:
+        parts.append(tag("p", f"bayes-body gait writes all {len(gait.events)} events and {len(gait.strides)} strides.", class_="note"))
     return section("gait", "Gait", *parts)
 
 

@@ -69,7 +69,7 @@ def write_view(
     step = budget.step(len(frames))
     while True:
         shown = frames[::step]
-        remarks = [*_lost(run, frames), *_thinned(frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
+        remarks = [*_lost(run, frames), *_thinned(run, frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
         page = _page(run, recording, shown, draws, budget.side(len(shown)), remarks, watch)
         if len(page.encode()) < LARGEST or len(shown) == 1:
             break
@@ -85,9 +85,14 @@ def _lost(run: "SavedRun", frames: range) -> Iterator[str]:
         yield f"{frame_ranges([run.first_frame + frame for frame in frames if lost[frame]]).capitalize()}: lost, or the body is off the person."
 
 
-def _thinned(frames: range, step: int) -> Iterator[str]:
+def _thinned(run: "SavedRun", frames: range, step: int) -> Iterator[str]:
     if step > 1:
-        yield f"One frame in {step} of {len(frames):,} is shown, so that the file stays small. Fewer draws leave room for more frames."
+        first = run.first_frame + frames.start
+        part = f"{first}-{first + max(len(frames) // step, 1) - 1}"
+        yield (
+            f"One frame in {step} of {len(frames):,} is shown, so that the file stays small. Fewer draws leave room for more frames. "
+            f"A part of the recording has all its frames: --frames {part}, for one."
+        )
 
 
 def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side: int, remarks: Sequence[str], watch: Watch) -> str:

@@ -199,6 +199,7 @@ def test_a_long_run_is_thinned_and_says_so(make_arm, monkeypatch):
     monkeypatch.setattr(pages, "LARGEST", 10)
     path, remarks = written(folder, draws=1, watch=lambda places: frames.append(len(places)) or places)
     assert frames == [5, 3, 2, 1] and remarks[0].startswith("One frame in 8 of 5 is shown")
+    assert remarks[0].endswith("A part of the recording has all its frames: --frames 0-0, for one.")
     assert path.stat().st_size < LARGEST == 10_000_000
 
 
