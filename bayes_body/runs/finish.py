@@ -33,7 +33,7 @@ from bayes_body.results.storage.run_file import write_run_file
 from bayes_body.runs.settings import Record
 from bayes_body.tracking.draws import Draws
 from bayes_body.view.figures_text import figures_text, warning_line
-from bayes_body.view.overlay import VIDEO, draw_overlay
+from bayes_body.view.overlay import VIDEO, draw_overlay, frames_drawn
 from bayes_body.view.video import playing_rate
 
 
@@ -140,7 +140,9 @@ def _draw(session: Session, draws: Draws, results: Results, show: Show, bar: boo
     except InputError as error:
         show(f"note: no overlay: {error} The run is complete; the same command with --resume tries again to draw it.")
         return
-    if (rate := playing_rate(session.fps)) != session.fps:
+    if (step := frames_drawn(len(draws.frames)).step) > 1:
+        show(f"note: {VIDEO} shows one frame in {step}, so that drawing it does not take longer than the run.")
+    elif (rate := playing_rate(session.fps)) != session.fps:
         show(f"note: {VIDEO} plays {rate:g} frames a second: players do not show the session's {session.fps:g}.")
 
 

@@ -40,6 +40,8 @@ INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 # How far a line may reach beyond its corners, pixels.
 LINE_PX = 4
 VIDEO = "overlay.mp4"
+# The most frames of the video. A frame of four cameras takes 0.1 s and 40 kB or more: 20 minutes at 60 Hz would take two hours.
+MOST_PICTURES = 9000
 FAN = 20
 STILLS = 5
 MEDOID = "\nmedoid, not the mean"
@@ -47,9 +49,9 @@ CAMERAS = "use fewer cameras, and check their size_px"
 
 
 def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = unwatched) -> list[Path]:
-    """Write `overlay.mp4` and up to five evenly spaced stills `overlay/frame_NNNNNN.png`, including the first and the last frame.
+    """Write `overlay.mp4` and up to five evenly spaced stills `overlay/frame_NNNNNN.png`, including the first and the last frame of the video.
 
-    A still's name has the frame's number in the recording.
+    A still's name has the frame's number in the recording. The video has the frames `frames_drawn`, and runs at the recording's speed.
 
     Args:
         session: the recording.
@@ -60,24 +62,30 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
     Raises:
         InputError: the folder cannot be written, or an image of the session is missing.
     """
-    frames = len(draws.frames)
+    frames = frames_drawn(len(draws.frames))
     stills = _stills(folder, frames, session.first_frame)
     remove_partial(make_folder(folder / "overlay"))
     # What is known at the end about the body and the cameras, so that the windows do not jump.
-    model = settled(draws.model, draws.frames[frames - 1])
-    central = [central_of(result, model.body) for result in draws.frames]
-    windows = person_windows(session, model, np.stack([body.pose for body in central]))
+    model = settled(draws.model, draws.frames[len(draws.frames) - 1])
+    central = [central_of(draws.frames[index], model.body) for index in frames]
+    windows = person_windows(session, model, np.stack([body.pose for body in central]), frames)
     large = [window.scaled(STILL_HEIGHT) for window in windows]
     with drawable(folder / VIDEO), replacing(folder / VIDEO) as partial, ExitStack() as video:
         write = None
-        for index in watch(range(frames)):
+        for place in watch(range(len(frames))):
+            index = frames[place]
             fan = _fan(draws.frames[index], index, model.body.variable)
-            picture = mosaic(session, model, index, central[index], fan, windows)
-            write = write or video.enter_context(h264_video(partial, session.fps, (picture.shape[1], picture.shape[0])))
+            picture = mosaic(session, model, index, central[place], fan, windows, place)
+            write = write or video.enter_context(h264_video(partial, session.fps / frames.step, (picture.shape[1], picture.shape[0])))
             write(picture)
             if index in stills:
-                write_png(stills[index], mosaic(session, model, index, central[index], fan, large))
+                write_png(stills[index], mosaic(session, model, index, central[place], fan, large, place))
     return [folder / VIDEO, *stills.values()]
+
+
+def frames_drawn(frames: int) -> range:
+    """Return the frames of the video of a run: all, or of a long run every second, third, ... of them, at most MOST_PICTURES."""
+    return range(0, frames, -(-frames // MOST_PICTURES))
 
 
 def central_of(result: FrameResult, body: Body) -> CentralPose:
@@ -88,9 +96,9 @@ def central_of(result: FrameResult, body: Body) -> CentralPose:
     return central_pose(body, poses.reshape(-1, *poses.shape[2:]), weights.ravel())
 
 
-def _stills(folder: Path, frames: int, first: int) -> dict[int, Path]:
-    chosen = np.unique(np.linspace(0, frames - 1, min(STILLS, frames)).round().astype(int))
-    return {int(index): folder / "overlay" / f"frame_{first + index:06d}.png" for index in chosen}
+def _stills(folder: Path, frames: range, first: int) -> dict[int, Path]:
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(STILLS, len(frames))).round().astype(int))
+    return {frames[place]: folder / "overlay" / f"frame_{first + frames[place]:06d}.png" for place in chosen.tolist()}
 
 
 def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "draw *shape"]:
@@ -100,7 +108,13 @@ def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "d
 
 
 def mosaic(
-    session: Session, model: Model, index: int, central: CentralPose, fan: Float[np.ndarray, "draw *shape"], windows: Sequence[Window]
+    session: Session,
+    model: Model,
+    index: int,
+    central: CentralPose,
+    fan: Float[np.ndarray, "draw *shape"],
+    windows: Sequence[Window],
+    place: int | None = None,
 ) -> MatLike:
     """Return the picture of one frame, all cameras in a grid: the central body and draws over the person's part of the images.
 
@@ -111,18 +125,19 @@ def mosaic(
         central: the pose that stands for the posterior.
         fan: draws, radians and metres.
         windows: one for each camera, from `person_windows`.
+        place: the place of the frame among those of the windows; `index` by default.
 
     Raises:
         InputError: an image of the session is missing.
     """
-    model = seen_in(model, session, index)
+    model, place = seen_in(model, session, index), index if place is None else place
     drawn = [outlines(model, pose) for pose in fan]
     strong, medoid_note = outlines(model, central.pose), "" if central.is_mean else MEDOID
     tiles = []
     for c, (view, window) in enumerate(zip(session.views, windows, strict=True)):
         picture, note = backdrop(session, index, view)
-        placed = [[Outline(part, window.place(polygon, index)) for part, polygon in body[c]] for body in (strong, *drawn)]
-        painted = paint(window.cut(picture, index), placed[0], placed[1:])
+        placed = [[Outline(part, window.place(polygon, place)) for part, polygon in body[c]] for body in (strong, *drawn)]
+        painted = paint(window.cut(picture, place), placed[0], placed[1:])
         tiles.append(label(painted, f"{view.camera.name}  frame {session.frame_number(index)}{medoid_note}{note}"))
     return grid(tiles)
 

@@ -68,20 +68,22 @@ class Window(NamedTuple):
         return (points - self.centres[frame] + size / 2) * self.tile / size - 0.5
 
 
-def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame *shape"]) -> list[Window]:
+def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "frame *shape"], frames: range | None = None) -> list[Window]:
     """Return, for each camera, a window that contains the posed body in every frame.
 
     Args:
         session: the recording.
         model: its body and cameras.
-        poses: one for each frame from the first, radians and metres.
+        poses: one for each of the frames, radians and metres.
+        frames: the frames' numbers; by default those from the first on. Windows count them from 0.
 
     Raises:
         InputError: a moving camera's file cannot be read.
     """
-    boxes = np.stack([_boxes(session, seen_in(model, session, index), pose) for index, pose in enumerate(poses)])
+    frames = range(len(poses)) if frames is None else frames
+    boxes = np.stack([_boxes(session, seen_in(model, session, index), pose) for index, pose in zip(frames, poses, strict=True)])
     sizes = [np.array(view.camera.size_px, float) for view in session.views]
-    paths = [_followed(boxes[:, c], size, session.fps) for c, size in enumerate(sizes)]
+    paths = [_followed(boxes[:, c], size, session.fps / frames.step) for c, size in enumerate(sizes)]
     shape = float(np.clip(np.median([width / height for _, (width, height) in paths]), *SHAPES))
     return [_window(centres, needed, size, shape) for (centres, needed), size in zip(paths, sizes, strict=True)]
 

@@ -14,6 +14,7 @@ from bayes_body.model.build import build_model
 from bayes_body.results.metrics.fit import Outline, outlines, projected_masks
 from bayes_body.results.posterior import CentralPose
 from bayes_body.tracking.track import track
+from bayes_body.view import overlay
 from bayes_body.view.colours import OVER_IMAGE, WORLD_AXES, bgr
 from bayes_body.view.overlay import colour, draw_overlay, mosaic, paint, write_png
 from bayes_body.view.rig_check import WIDEST, draw_check, padded, whole_image
@@ -53,7 +54,7 @@ def test_an_outline_behind_a_camera_is_not_drawn(model, textured_session):
     assert outlines(build_model("arm", away), np.asarray(model.initial["pose"])) == [[]]
 
 
-def test_overlay_video_and_stills(model, textured_session, tmp_path):
+def test_overlay_video_and_stills(model, textured_session, tmp_path, monkeypatch):
     draws = track(jax.random.key(0), textured_session, model, build_kernel(), particles=30, runs=2)
     video, *stills = draw_overlay(textured_session, draws, tmp_path)
     reader = cv2.VideoCapture(str(video))
@@ -66,6 +67,13 @@ def test_overlay_video_and_stills(model, textured_session, tmp_path):
     # The arm's parts have no side: their outlines are green, on grey images.
     assert _green(picture) > 500
     assert _green(cv2.imread(str(textured_session.folder / "a" / "image0000.png"))) == 0
+    # A long recording: every third frame, at the same speed.
+    monkeypatch.setattr(overlay, "MOST_PICTURES", 2)
+    video, *stills = draw_overlay(textured_session, draws, tmp_path / "long")
+    reader = cv2.VideoCapture(str(video))
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 2 and reader.get(cv2.CAP_PROP_FPS) == 20
+    assert [path.name for path in stills] == ["frame_000000.png", "frame_000003.png"]
+    assert _green(cv2.imread(str(stills[1]))) > 500
 
 
 def test_sides_have_colours():

@@ -38,7 +38,7 @@ LARGEST = 10_000_000
 MARK = b'<meta name="generator" content="bayes-body report">'
 SECTIONS: Sequence[tuple[str, str, Callable[[Inspection], Markup]]] = (
     ("warnings", "Warnings", lambda inspection: findings(inspection.warnings)),
-    ("pictures", "Pictures", lambda inspection: picture_section(inspection.run.folder, QUALITIES[0])),
+    ("pictures", "Pictures", lambda inspection: picture_section(inspection.run.folder, QUALITIES[0], inspection.run.frames)),
     ("truth", "Comparison with the truth", truth_section),
     ("prediction", "Posterior predictive check", prediction_section),
     ("clinical", "Clinical angles", clinical_section),
@@ -111,7 +111,7 @@ def fitted(inspection: Inspection, sections: Sequence[Markup], largest: int) -> 
     for quality in (*QUALITIES[1:], None):
         if len(text.encode()) < largest:
             return text
-        pictures = picture_section(inspection.run.folder, quality)
+        pictures = picture_section(inspection.run.folder, quality, inspection.run.frames)
         text = _filled(inspection, [*sections[:PICTURES], pictures, *sections[PICTURES + 1 :]])
     if len(text.encode()) < largest:
         return text

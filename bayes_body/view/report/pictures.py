@@ -39,17 +39,18 @@ class Quality(NamedTuple):
 QUALITIES = (Quality(1920, 70, 960, 50), Quality(1280, 70, 960, 50), Quality(960, 60, 800, 40), Quality(800, 50, 640, 30), Quality(640, 40, 480, 20))
 
 
-def picture_section(folder: Path, quality: Quality | None) -> Markup:
+def picture_section(folder: Path, quality: Quality | None, run_frames: int | None = None) -> Markup:
     """Return the section with the overlay's pictures; a sentence replaces each picture that is missing in the run's folder.
 
     Args:
         folder: the run's folder.
         quality: quality of the pictures; None leaves them out.
+        run_frames: number of frames of the run; those of the video by default.
     """
     if quality is None:
         return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
     stills = list(_stills(folder / "overlay", quality))
-    video = _animation(folder / "overlay.mp4", quality)
+    video = _animation(folder / "overlay.mp4", quality, run_frames)
     parts: list[str] = [tag("p", ABOUT)]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
     parts += [figures(stills[:1], "large")] if stills else [tag("p", "There are no stills in overlay/.")]
@@ -93,7 +94,7 @@ def narrowed(image: MatLike, width: int) -> MatLike:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
-def _animation(path: Path, quality: Quality) -> Picture | None:
+def _animation(path: Path, quality: Quality, run_frames: int | None) -> Picture | None:
     """Return a moving WebP of at most LARGEST_ANIMATION bytes; every other frame is dropped, repeatedly, until it is that small."""
     frames, fps, total = read_video(path, quality.width)
     if len(frames) < 2:
@@ -106,7 +107,10 @@ def _animation(path: Path, quality: Quality) -> Picture | None:
             break
         frames, step = frames[::2], 2 * step
     pace = _pace(seconds * fps / step)
-    caption = f"{'Every frame' if step == 1 else f'One frame in {step}'} of {total}, {pace}. overlay.mp4 in the run's folder has all frames."
+    drawn = -(-(run_frames or total) // total)
+    whole = "has all frames" if drawn == 1 else f"has one frame in {drawn}"
+    shown = "Every frame" if step * drawn == 1 else f"One frame in {step * drawn}"
+    caption = f"{shown} of {total if drawn == 1 else run_frames}, {pace}. overlay.mp4 in the run's folder {whole}."
     return _picture(
         data_uri("image/webp", content), "The recording with the posterior drawn over it, moving.", caption, _still_uri(frames[0], quality)
     )
