@@ -38,7 +38,7 @@ from bayes_body.view.video import playing_rate
 
 
 def kept_frames(
-    out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, show: Show, thinning: Thinning | None = None
+    out: Path, before: Mapping[str, Mapping[str, Any]] | None, record: Record, show: Show, bar: bool, thinning: Thinning | None = None
 ) -> FrameFiles:
     """Return the frames of a run that begins or goes on, up to the first damaged one. A new run's `run.toml` is written.
 
@@ -47,6 +47,7 @@ def kept_frames(
         before: the tables of the run that is continued; None for a new one.
         record: its tables now.
         show: receives lines for the user.
+        bar: whether to show on standard error how many stored frames are read.
         thinning: what is stored of a frame; all of it by default.
 
     Raises:
@@ -56,7 +57,7 @@ def kept_frames(
     if before is None:
         return FrameFiles(out / FRAMES_FOLDER, write_run_file(out, record), thinning)
     frames = FrameFiles(out / FRAMES_FOLDER, before["check"]["run"], thinning)
-    damage = frames.mend()
+    damage = frames.mend(watched("reading the stored frames", bar and len(frames) > 0))
     if damage:
         show(f"{damage} It is computed again.")
     return frames

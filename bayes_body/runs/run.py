@@ -205,7 +205,7 @@ def begin(
     if source != "given":
         record = {**record, "first_pose": stored(model, estimate)}
     _show_first_fit(session, model, show)
-    frames = _stored_frames(settings, before, record, wanted, session.first_frame, show, thinning_of(model.transition, keep))
+    frames = _stored_frames(settings, before, record, wanted, session.first_frame, show, bar, thinning_of(model.transition, keep))
     for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, max(wanted, len(frames)), len(frames), keep):
         show(line)
     for note in notes([("kernel", kind), *(("likelihood", term.kind) for term in definition.likelihoods)]):
@@ -229,11 +229,18 @@ def _show_first_fit(session: Session, model: Model, show: Show) -> None:
 
 
 def _stored_frames(
-    settings: Settings, before: Mapping[str, Mapping[str, Any]] | None, record: Record, wanted: int, first: int, show: Show, thinning: Thinning | None
+    settings: Settings,
+    before: Mapping[str, Mapping[str, Any]] | None,
+    record: Record,
+    wanted: int,
+    first: int,
+    show: Show,
+    bar: bool,
+    thinning: Thinning | None,
 ) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, up to the first damaged one."""
     out = settings.out
-    frames = kept_frames(out, before, record, show, thinning)
+    frames = kept_frames(out, before, record, show, bar, thinning)
     if before is None:
         return frames
     if len(frames) > wanted and not settings.live:

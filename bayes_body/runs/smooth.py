@@ -96,7 +96,7 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
     record = _record(source, filtered, options, seed)
     if before:
         refuse_changes(settings.out, before, record)
-    frames = _begin(settings.out, before, record, show)
+    frames = _begin(settings.out, before, record, show, bar)
     for line in smoothing_lines(settings.out, model, options.draws, int(source.settings["runs"]), source.frames, len(frames)):
         show(line)
     for note in _notes(source, joint):
@@ -156,9 +156,9 @@ def _record(source: SavedRun, filtered: FrameFiles, options: Options | JointOpti
     return {**record, **computing_here(), "smoothing": {**origin, "seed": seed, **options.model_dump()}}
 
 
-def _begin(out: Path, before: Record | None, record: Record, show: Show) -> FrameFiles:
+def _begin(out: Path, before: Record | None, record: Record, show: Show, bar: bool) -> FrameFiles:
     """Write `run.toml`. Return the frames that are already stored, the last frame of the recording first."""
-    frames = kept_frames(out, before, record, show)
+    frames = kept_frames(out, before, record, show, bar)
     if before is None:
         show(f"run        {out}")
     else:

@@ -157,8 +157,11 @@ class FrameFiles:
         self._read.cache_clear()
         self._count += len(results)
 
-    def mend(self) -> str:
+    def mend(self, watch: Watch = unwatched) -> str:
         """Prepare to continue: remove half-written files, read all frames, and end before the first that is damaged or in the wrong place.
+
+        Args:
+            watch: draws a progress bar.
 
         Returns:
             A sentence about the damage; empty if all frames are as they were stored. Files after the damaged one stay until their frames are stored
@@ -168,15 +171,15 @@ class FrameFiles:
             InputError: a frame belongs to another run. It is not replaced.
         """
         remove_partial(self.folder)
-        damage = self._first_damage()
+        damage = self._first_damage(watch)
         for path in self.folder.glob("last_*.npz"):
             if path != self._whole_path(self._count - 1):
                 path.unlink(missing_ok=True)
         return damage
 
-    def _first_damage(self) -> str:
+    def _first_damage(self, watch: Watch) -> str:
         previous_digest = ""
-        for index in range(self._count):
+        for index in watch(range(self._count)):
             try:
                 stored = self._stored(index)
             except InputError as damage:
