@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import tracemalloc
 
 import jax
 import numpy as np
@@ -13,6 +14,8 @@ from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
 from bayes_body.recording.session.read import save_session
 from bayes_body.results.metrics import draws_against_truth, log_evidence, marker_disagreement, silhouette_overlap, summarise
+from bayes_body.results.metrics.by_frame import stack_frames
+from bayes_body.results.metrics.calibration import Scores
 from bayes_body.results.metrics.figures import NAMES
 from bayes_body.results.metrics.fit import intersection_over_union
 from bayes_body.results.posterior import markers, mean_poses, rhat
@@ -146,3 +149,16 @@ def test_a_truth_that_cannot_be_used_is_told_before_the_tracking(textured_sessio
     with pytest.raises(InputError, match=r"truth\.npz: no such file"):
         run(Settings(tmp_path / "session", tmp_path / "run", model="arm"), print, bar=False)
     assert not (tmp_path / "run").exists()
+
+
+def test_figures_of_many_frames_take_the_memory_of_their_numbers():
+    def peak(frames):
+        tracemalloc.start()
+        stacked = stack_frames(Scores(np.full((2, 15), number), np.zeros((2, 15)), np.zeros((2, 15)), np.zeros(2)) for number in range(frames))
+        assert stacked.level.shape == (frames, 2, 15) and stacked.level[:, 1, 3].tolist() == list(range(frames))
+        largest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return largest
+
+    # Twice for a moment, when the blocks are joined.
+    assert peak(2000) - peak(500) < 2.2 * 1500 * (3 * 30 + 2) * 8

@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from bayes_body.base.files import atomic
 from bayes_body.base.files.atomic import PARTIAL
 from bayes_body.density.kernel import FilterInfo
 from bayes_body.results.storage import FrameFiles
+from bayes_body.results.storage.entries import Entries, Entry, entries_of
 from bayes_body.results.storage.frame_files import Place, load_frame, save_frame
 from bayes_body.tracking.draws import FrameResult, Frames, FrameStore, ThinningStore
 
@@ -258,3 +260,24 @@ def test_a_damaged_frame_of_a_thinned_run_costs_the_run_but_not_what_is_computed
     # It stops here: the next frame is one of before, and the run goes on after the second one.
     again = FrameFiles(thinned.folder, "this", few)
     assert "after another frame" in again.mend() and len(again) == 2 and again.last.seconds == 9.0
+
+
+def test_entries_of_many_frames_take_few_bytes():
+    def entries(frames):
+        columns = Entries()
+        for number in range(frames):
+            columns.append(Entry(f"{number:064x}", 0.5, 0.0, np.array([number % 2, 1], bool)[: number % 3]))
+        return columns
+
+    tracemalloc.start()
+    many = entries(10_000)
+    held = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    # An object a frame, with a text and an array, would take some 500.
+    assert held < 100 * len(many) == 1_000_000
+    few = entries_of(entries(7).arrays())
+    assert [(entry.digest, entry.seconds, entry.restarted.tolist()) for entry in few] == [
+        (f"{number:064x}", 0.5, [bool(number % 2), True][: number % 3]) for number in range(7)
+    ]
+    with pytest.raises(ValueError, match="hexadecimal"):
+        few.append(few[0]._replace(digest="no digest"))
