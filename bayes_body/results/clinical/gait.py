@@ -160,17 +160,17 @@ def low_pass(paths: Float[np.ndarray, "draw frame *of"], fps: float) -> Float[np
     return sosfiltfilt(sections, paths, axis=1, padlen=min(int(fps), paths.shape[1] - 1))
 
 
-def _ankle(path: Float[np.ndarray, "frame 4 3"], side: FootSide) -> Float[np.ndarray, "frame 3"]:
+def _ankle(path: Float[np.ndarray, "frame 4 3"], side: str) -> Float[np.ndarray, "frame 3"]:
     return path[:, POINTS.index(f"{side}_ankle")]
 
 
-def _leg_lengths(path: Float[np.ndarray, "frame 4 3"], side: FootSide) -> Float[np.ndarray, " frame"]:
+def _leg_lengths(path: Float[np.ndarray, "frame 4 3"], side: str) -> Float[np.ndarray, " frame"]:
     return np.linalg.norm(path[:, POINTS.index(f"{side}_hip")] - _ankle(path, side), axis=-1)
 
 
 def _extrema(
-    smooth: Float[np.ndarray, "frame 4 3"], fps: float, up: int, least_swing: Mapping[FootSide, float]
-) -> dict[FootSide, tuple[Float[np.ndarray, " maximum"], Float[np.ndarray, " minimum"]]]:
+    smooth: Float[np.ndarray, "frame 4 3"], fps: float, up: int, least_swing: Mapping[str, float]
+) -> dict[str, tuple[Float[np.ndarray, " maximum"], Float[np.ndarray, " minimum"]]]:
     """Return the times, s, at which the ankle of each side is farthest ahead of the pelvis of a path, and farthest behind."""
     leads = {side: _measure_ankle_lead(smooth, _ankle(smooth, side), fps, up) for side in FEET}
     return {side: (_maxima(lead, fps, least_swing[side]), _maxima(-lead, fps, least_swing[side])) for side, lead in leads.items()}
@@ -207,8 +207,8 @@ def _maxima(row: Float[np.ndarray, " frame"], fps: float, least: float) -> Float
 
 
 def _strike_places(
-    paths: PathsOfDraws, strikes: Mapping[FootSide, Sequence[Float[np.ndarray, " draw"]]], fps: float, up: int
-) -> dict[FootSide, Float[np.ndarray, "strike draw 2"]]:
+    paths: PathsOfDraws, strikes: Mapping[str, Sequence[Float[np.ndarray, " draw"]]], fps: float, up: int
+) -> dict[str, Float[np.ndarray, "strike draw 2"]]:
     """Return where the ankle is at each strike, metres, in the horizontal plane."""
     frames = {side: fps * np.array(times).reshape(-1, len(paths)) for side, times in strikes.items()}
     places = {side: np.zeros((*times.shape, 2)) for side, times in frames.items()}

@@ -6,6 +6,7 @@ written into a temporary file as the frames are read, and read from there draw b
 
 import tempfile
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -83,7 +84,7 @@ class StoredPaths:
             self._file.write(np.ascontiguousarray(frames, np.float64).tobytes())
             self._file.flush()
         except OSError as error:
-            raise refused(tempfile.gettempdir(), "written", error) from None
+            raise refused(Path(tempfile.gettempdir()), "written", error) from None
 
 
 class ChosenColumns:

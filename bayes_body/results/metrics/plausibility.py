@@ -67,7 +67,7 @@ def judge(fit: Fit) -> Verdict:
     # A comparison with NaN is False: nothing is said where nothing tells.
     off = distance > MOST_DISTANCE if by_keypoints else (cover < LEAST_COVER) | (overlap < LEAST_OVERLAP)
     blind = not by_keypoints and bool(np.isfinite(fit.silhouette).any()) and not usable.any()
-    return Verdict(cover, overlap, distance, outside, beside, off | outside | beside, np.bool_(blind))
+    return Verdict(cover, overlap, distance, outside, beside, off | outside | beside, np.asarray(bool(blind)))
 
 
 def can_be_a_person(shares: Float[np.ndarray, " camera"]) -> Bool[np.ndarray, " camera"]:

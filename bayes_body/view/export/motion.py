@@ -258,12 +258,13 @@ class LongMotion:
     """
 
     def __init__(self, moments: RunMoments, fps: float | None, up: Axis | None, angles: Angles, events: bool):
-        self._moments, self._options = moments, (fps, up, angles)
+        self._angles: Angles = angles
+        self._moments, self._with_events = moments, events
         self.run = run = moments.run
-        self.frames, self.fps, self.up = run.frames, run.fps if fps is None else fps, up or run.session.up
+        self.up: Axis = up or run.session.up
+        self.frames, self.fps = run.frames, run.fps if fps is None else fps
         self.marker_names, self.first_frame, self.lost = run.model.body.markers.names, run.first_frame, lost_frames(run)
         self.moments = MODE_SEEKER_MOMENTS if run.mode_seeker else Moments._fields
-        self._with_events = events
 
     @property
     def has_intervals(self) -> bool:
@@ -283,13 +284,16 @@ class LongMotion:
             InputError: a file of the run cannot be used.
         """
         if self.frames <= FRAMES_AT_ONCE:
-            yield read_motion(self._moments, *self._options)
+            yield self._read(self._moments)
             return
         before = None
         for start in range(0, self.frames, FRAMES_AT_ONCE):
             frames = range(start, min(start + FRAMES_AT_ONCE, self.frames))
-            before = read_motion(RunMoments(self.run, frames, before), *self._options)
+            before = self._read(RunMoments(self.run, frames, before))
             yield before
+
+    def _read(self, moments: RunMoments) -> Motion:
+        return read_motion(moments, self.fps, self.up, self._angles)
 
     @cached_property
     def whole(self) -> Motion:
@@ -319,5 +323,5 @@ class LongMotion:
         )
 
 
-def _joined[M: (Moments, MomentsAndMedian)](pieces: Sequence[M]) -> M:
+def _joined[M: Moments | MomentsAndMedian](pieces: Sequence[M]) -> M:
     return type(pieces[0])(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))

@@ -108,7 +108,7 @@ def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.nda
     if points.ndim != 3 or points.shape[1:] != (count, 3) or points.dtype.kind not in "fiu":
         raise input_error(subject, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
     # Files of this program have 32 bits, and a long recording's stay so in memory: numbers of single frames get more when they are read.
-    points = points if points.dtype == np.float32 else points.astype(np.float64)
+    points = np.asarray(points, np.float32 if points.dtype == np.float32 else np.float64)
     confidence = points[..., 2][np.isfinite(points[..., 2])]
     if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
         raise input_error(subject, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
