@@ -115,9 +115,9 @@ def disk_lines(out: Path, model: Model, options: Mapping[str, Any], runs: int, f
     thinned = keep is not None and keep < particles
     frame = frame_size(model, min(keep, particles) if keep is not None else particles, runs, thinned)
     # Of a thinned run, the last frame with all its particles, twice.
-    whole = 2 * frame_size(model, particles, runs).file if thinned else 0
+    last_frame = 2 * frame_size(model, particles, runs).file if thinned else 0
     remedy = "give fewer runs or draws" if keep is not None else "store fewer draws with --keep draws=200"
-    yield from _room(out, frame, frames, done, whole, remedy)
+    yield from _room(out, frame, frames, done, last_frame, remedy)
     if keep is None and frames * frame.stored > LARGE and particles > PROPOSED:
         smaller = frames * frame_size(model, PROPOSED, runs, True).stored
         yield f"note: with --keep draws={PROPOSED} it is {megabytes(smaller)}; means, R-hat and other diagnostics stay those of all particles."

@@ -261,7 +261,7 @@ def exported(run, folder):
     paths = {name: folder / f"walk.{name}" for name in FORMATS}
     with load_run(run) as saved:
         written = export_formats(saved, paths, up="y", spread=True)
-        return {name: motion.whole for name, motion in written.items()}, paths
+        return {name: motion.in_memory for name, motion in written.items()}, paths
 
 
 def differences(run, folder):

@@ -37,7 +37,7 @@ def laboratory_of(up: int) -> tuple[int, int, int]:
     return (up - 1) % 3, up, (up + 1) % 3
 
 
-def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLOCK, before: Float[np.ndarray, " name"] | None = None) -> Curves:
+def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLOCK, previous: Float[np.ndarray, " name"] | None = None) -> Curves:
     """Return the clinical angles of a run, pooled over its independent filters; none if its body file names no segments.
 
     The mean is that on the circle. Draws are brought within half a turn of it before standard deviation and quantiles are computed.
@@ -46,16 +46,16 @@ def clinical_angles(run: SavedRun, frames: range | None = None, block: int = BLO
         run: the run, loaded from its folder.
         frames: numbers of the frames; all by default.
         block: largest number of frames in memory at a time.
-        before: the means in the frame before, from which an angle that is not bounded goes on.
+        previous: the means in the frame before, from which an angle that is not bounded goes on.
 
     Raises:
         InputError: the run's model or session cannot be used.
     """
-    names, _, angles = _angles(run, CLINICAL, frames, block, before)
+    names, _, angles = _angles(run, CLINICAL, frames, block, previous)
     return Curves(names, angles.moments)
 
 
-def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int = BLOCK, before: Float[np.ndarray, " name"] | None = None) -> Curves:
+def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int = BLOCK, previous: Float[np.ndarray, " name"] | None = None) -> Curves:
     """Return the coordinates of OpenSim's models that a run determines: position (metres) and orientation of the pelvis, and joint angles.
 
     Their names are OpenSim's, and the pelvis is placed as OpenSim places it. The arguments are those of `clinical_angles`.
@@ -79,11 +79,11 @@ def opensim_coordinates(run: SavedRun, frames: range | None = None, block: int =
     # OpenSim's order: the rotations of the pelvis, its position, then the joints.
     named_columns = [place for place, name in enumerate(names) if name]
     first = sum(name.startswith("pelvis_") for name in names)
-    turned_before = None
-    if before is not None:
-        turned_before = np.full(len(names), np.nan)
-        turned_before[named_columns] = np.delete(before, range(first, first + 3))
-    *_, moments = _angles(run, opensim_conventions(segments), frames, block, turned_before)
+    previous_turned = None
+    if previous is not None:
+        previous_turned = np.full(len(names), np.nan)
+        previous_turned[named_columns] = np.delete(previous, range(first, first + 3))
+    *_, moments = _angles(run, opensim_conventions(segments), frames, block, previous_turned)
     columns = MomentsAndMedian(
         *(np.insert(turned[:, named_columns], [first] * 3, position, axis=1) for position, turned in zip(origin, moments, strict=True))
     )
@@ -96,7 +96,7 @@ def _joints(run: SavedRun, conventions: Sequence[Convention]) -> tuple[Joint, ..
 
 
 def _angles(
-    run: SavedRun, conventions: Sequence[Convention], frames: range | None, block: int, before: Float[np.ndarray, " name"] | None
+    run: SavedRun, conventions: Sequence[Convention], frames: range | None, block: int, previous: Float[np.ndarray, " name"] | None
 ) -> tuple[tuple[str, ...], tuple[str, ...], MomentsAndMedian]:
     """Return names, OpenSim's names, and moments in degrees."""
     joints = _joints(run, conventions)
@@ -111,13 +111,13 @@ def _angles(
         return moments_in(space, np.concatenate([joint.angles(rotations) for joint in joints], axis=-1), weights, moments_and_median)
 
     moments = moments_of(run, frames, block, 9 * len(body.skeleton.topology.joint_names), turns)
-    return names, coordinates, _wrap_near_zero(MomentsAndMedian(*map(np.degrees, moments)), [name in UNBOUNDED for name in names], before)
+    return names, coordinates, _wrap_near_zero(MomentsAndMedian(*map(np.degrees, moments)), [name in UNBOUNDED for name in names], previous)
 
 
-def _wrap_near_zero(moments: MomentsAndMedian, unbounded: Sequence[bool], before: Float[np.ndarray, " name"] | None) -> MomentsAndMedian:
+def _wrap_near_zero(moments: MomentsAndMedian, unbounded: Sequence[bool], previous: Float[np.ndarray, " name"] | None) -> MomentsAndMedian:
     """Return the moments with each mean on the turn nearest to zero, or for an unbounded angle nearest to the frame before."""
     nearest = moments.mean - TURN * np.round(moments.mean / TURN)
-    path = nearest if before is None else np.concatenate([before[None], nearest])
+    path = nearest if previous is None else np.concatenate([previous[None], nearest])
     mean = np.where(unbounded, np.unwrap(path, period=TURN, axis=0)[len(path) - len(nearest) :], nearest)
     shift = mean - moments.mean
     return MomentsAndMedian(mean, moments.sd, moments.q05 + shift, moments.q95 + shift, moments.q50 + shift)

@@ -206,9 +206,9 @@ class FrameFiles:
             return True
         first = self._stored(0)
         names = in_posterior(arrays_of(first.result, first.place))
-        entries, before = Entries(), self._count - len(self._entries)
+        entries, first_stored = Entries(), self._count - len(self._entries)
         for index in range(self._count):
-            entries.append(self._entries[index - before] if index >= before else self._entry(index))
+            entries.append(self._entries[index - first_stored] if index >= first_stored else self._entry(index))
         archive = FrameArchive(self.folder.parent / POSTERIOR_FILE, first.place.run, names, entries, last_first, trusted=True)
         try:
             for index in watch(range(self._count)):

@@ -64,10 +64,10 @@ def write_bvh(motion: Motion | LongMotion, path: Path) -> None:
         InputError: the body does not have exactly one root, or the file system does not accept the file.
     """
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
-        before = None
+        previous = None
         for block in motion.blocks():
-            joints = joints_of(block, before)
-            before, moving = joints.angles[-1], joints.moving
+            joints = joints_of(block, previous)
+            previous, moving = joints.angles[-1], joints.moving
             if not block.skipped:
                 file.write("HIERARCHY\n" + "\n".join(_hierarchy(joints, 0, "")) + "\n")
                 file.write(f"MOTION\nFrames: {motion.frames}\nFrame Time: {1 / motion.fps:.10g}\n")
@@ -77,12 +77,12 @@ def write_bvh(motion: Motion | LongMotion, path: Path) -> None:
             np.savetxt(file, np.round(np.concatenate(columns, axis=1), 6) + 0.0, fmt="%.6f")
 
 
-def joints_of(motion: Motion, before: Float[np.ndarray, "joint 3"] | None = None) -> Joints:
+def joints_of(motion: Motion, previous: Float[np.ndarray, "joint 3"] | None = None) -> Joints:
     """Return the mean pose as a hierarchy of joints.
 
     Args:
         motion: some frames of a motion.
-        before: the angles in the frame before them, from which the angles go on.
+        previous: the angles in the frame before them, from which the angles go on.
 
     Raises:
         InputError: the body does not have exactly one root.
@@ -105,7 +105,7 @@ def joints_of(motion: Motion, before: Float[np.ndarray, "joint 3"] | None = None
             back = np.swapaxes(W[:, parent], -1, -2)
             local[:, j], offsets[j] = back @ W[:, j], rest_places[j] - rest_places[parent]
             positions[:, j] = (back @ (origins[:, j] - origins[:, parent])[..., None])[..., 0]
-    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local, before))
+    return Joints(names, parents, moving, offsets, _ends(body, order, R_rest), positions, _euler(local, previous))
 
 
 def _depth_first(body: Body) -> list[int]:
@@ -150,13 +150,13 @@ def _ends(body: Body, order: list[int], R_rest: Float[np.ndarray, "joint 3 3"]) 
     return ends
 
 
-def _euler(local: Float[np.ndarray, "frame joint 3 3"], before: Float[np.ndarray, "joint 3"] | None) -> Float[np.ndarray, "frame joint 3"]:
+def _euler(local: Float[np.ndarray, "frame joint 3 3"], previous: Float[np.ndarray, "joint 3"] | None) -> Float[np.ndarray, "frame joint 3"]:
     """Return Euler angles in degrees, without jumps of whole turns from frame to frame."""
     with warnings.catch_warnings():
         # If the middle angle is a quarter turn, only one combination of the other two matters: every choice gives the same rotation.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_euler(EULER).reshape(local.shape[:3])
-    path = angles if before is None else np.concatenate([np.radians(before)[None], angles])
+    path = angles if previous is None else np.concatenate([np.radians(previous)[None], angles])
     return np.degrees(np.unwrap(path, axis=0)[len(path) - len(angles) :])
 
 

@@ -119,7 +119,7 @@ def write_c3d(motion: Motion | LongMotion, path: Path, spread: bool = False) -> 
     if motion.frames > MOST_FRAMES:
         raise input_error("--to c3d", f"{motion.frames} frames", f"at most {MOST_FRAMES}, the format's limit", "choose npz, csv or trc")
     # The format counts so few frames that they fit in memory.
-    motion, moments = motion.whole, motion.moments if spread else ("mean",)
+    motion, moments = motion.in_memory, motion.moments if spread else ("mean",)
     residuals, step = _residuals(motion, moments)
     with replacing(path) as partial:
         # ezc3d appends its ending to any other.

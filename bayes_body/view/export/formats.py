@@ -90,7 +90,7 @@ def export(
     Raises:
         InputError: as for `export_formats`.
     """
-    return export_formats(run, {name: out}, fps=fps, up=up, overwrite=overwrite, spread=spread)[name].whole
+    return export_formats(run, {name: out}, fps=fps, up=up, overwrite=overwrite, spread=spread)[name].in_memory
 
 
 def export_formats(

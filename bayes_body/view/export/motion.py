@@ -107,7 +107,7 @@ class Motion:
         return self.first_frame + self.skipped + np.arange(self.frames)
 
     @property
-    def whole(self) -> "Motion":
+    def in_memory(self) -> "Motion":
         """The motion itself: it is in memory. (`LongMotion` is not.)"""
         return self
 
@@ -122,11 +122,11 @@ class RunMoments:
     Args:
         run: the run, loaded from its folder.
         frames: numbers of the frames; all by default.
-        before: the motion of the frames before, in the session's axes and with the angles that are asked for. Turns and quaternions go on from it.
+        previous: the motion of the frames before, in the session's axes and with the angles that are asked for. Turns and quaternions go on from it.
     """
 
-    def __init__(self, run: SavedRun, frames: range | None = None, before: "Motion | None" = None):
-        self.run, self.frames, self.before = run, range(run.frames) if frames is None else frames, before
+    def __init__(self, run: SavedRun, frames: range | None = None, previous: "Motion | None" = None):
+        self.run, self.frames, self.previous = run, range(run.frames) if frames is None else frames, previous
 
     @cached_property
     def markers(self) -> Moments:
@@ -146,16 +146,16 @@ class RunMoments:
     @cached_property
     def clinical(self) -> Curves:
         """Clinical angles (`clinical_angles`)."""
-        return clinical_angles(self.run, self.frames, before=self._last_angles)
+        return clinical_angles(self.run, self.frames, previous=self._last_angles)
 
     @cached_property
     def opensim(self) -> Curves:
         """Coordinates of OpenSim's models (`opensim_coordinates`)."""
-        return opensim_coordinates(self.run, self.frames, before=self._last_angles)
+        return opensim_coordinates(self.run, self.frames, previous=self._last_angles)
 
     @property
     def _last_angles(self) -> Float[np.ndarray, " name"] | None:
-        return None if self.before is None else self.before.clinical.moments.mean[-1]
+        return None if self.previous is None else self.previous.clinical.moments.mean[-1]
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -238,8 +238,8 @@ def _parts(run_moments: RunMoments, order: Order) -> Parts | None:
     origins = Moments(*(values[..., list(order)] for values in coordinates))
     # Rotation vectors are about the part's own axes, which do not change with those of the world.
     turns = Moments(*(np.degrees(values[..., 3:]) for values in coordinates))
-    turned, before = turned_parts(run_moments.mean_parts, order), None if run_moments.before is None else run_moments.before.parts
-    path = turned if before is None else np.concatenate([before.mean[-1:], turned])
+    turned, previous = turned_parts(run_moments.mean_parts, order), None if run_moments.previous is None else run_moments.previous.parts
+    path = turned if previous is None else np.concatenate([previous.mean[-1:], turned])
     return Parts(placement.names, _continued(path)[len(path) - len(turned) :], origins, turns)
 
 
@@ -286,17 +286,17 @@ class LongMotion:
         if self.frames <= FRAMES_AT_ONCE:
             yield self._read(self._moments)
             return
-        before = None
+        previous = None
         for start in range(0, self.frames, FRAMES_AT_ONCE):
             frames = range(start, min(start + FRAMES_AT_ONCE, self.frames))
-            before = self._read(RunMoments(self.run, frames, before))
-            yield before
+            previous = self._read(RunMoments(self.run, frames, previous))
+            yield previous
 
     def _read(self, moments: RunMoments) -> Motion:
         return read_motion(moments, self.fps, self.up, self._angles)
 
     @cached_property
-    def whole(self) -> Motion:
+    def in_memory(self) -> Motion:
         """The motion of all frames, in memory.
 
         Raises:

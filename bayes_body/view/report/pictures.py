@@ -108,9 +108,9 @@ def _animation(path: Path, quality: Quality, run_frames: int | None) -> Picture 
         frames, step = frames[::2], 2 * step
     pace = _pace(seconds * fps / step)
     drawn = -(-(run_frames or total) // total)
-    whole = "has all frames" if drawn == 1 else f"has one frame in {drawn}"
+    extent = "has all frames" if drawn == 1 else f"has one frame in {drawn}"
     shown = "Every frame" if step * drawn == 1 else f"One frame in {step * drawn}"
-    caption = f"{shown} of {total if drawn == 1 else run_frames}, {pace}. overlay.mp4 in the run's folder {whole}."
+    caption = f"{shown} of {total if drawn == 1 else run_frames}, {pace}. overlay.mp4 in the run's folder {extent}."
     return _picture(
         data_uri("image/webp", content), "The recording with the posterior drawn over it, moving.", caption, _still_uri(frames[0], quality)
     )

@@ -246,7 +246,7 @@ def test_a_long_run_is_written_in_blocks_of_frames(make_run, tmp_path, monkeypat
         with load_run(folder) as run:
             written = export_formats(run, outs, up="y")
             assert [block.frames for block in written["csv"].blocks()] == ([5] if frames == 5 else [2, 2, 1])
-            assert written["csv"].whole.seconds.tolist() == [k / 60 for k in range(5)]
+            assert written["csv"].in_memory.seconds.tolist() == [k / 60 for k in range(5)]
         texts.append({path.name: path.read_bytes() for path in (tmp_path / str(frames)).iterdir() if path.suffix != ".npz"})
         with np.load(outs["npz"]) as file:
             arrays.append(dict(file))
