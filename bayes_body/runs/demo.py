@@ -104,7 +104,7 @@ def rehearsed(seed: int, size: Size) -> Iterator[tuple[Ahead, Future[Any]]]:
         model = build_model(MODEL, session)
         kind, options = kernel_options(model.definition, None, {"particles": size.particles}, cameras=model.cameras)
         searching = pool.submit(lambda: PersonSearch(session).searched(0))
-        with compiled_ahead(session, model, kernel_of(kind, options), size.particles) as ahead:
+        with compiled_ahead(session, model, kernel_of(kind, options), size.particles, RUNS) as ahead:
             yield ahead, searching
 
 

@@ -4,7 +4,8 @@ Arguments of another form are an error, not a silent second compilation. The for
 compiles in a thread while the pose is fitted, on the core that the fit leaves idle.
 
 Most kernels have many particles, and all devices share those of one run after the other. A kernel with few would wait for the other devices longer
-than it computes. It declares so in the registry (`runs_together`), and the devices share the runs: each computes its runs alone.
+than it computes. It declares so in the registry (`runs_together`), and the devices share the runs: each computes one run at a time, alone. On an
+accelerator all runs are one batch, since the particles of one run do not fill it (docs/decisions/54_gpu.md).
 """
 
 import threading
@@ -12,8 +13,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -26,12 +28,12 @@ from bayes_body.base.shapes import Key, Keys
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Particles
 from bayes_body.density.kernel import FilterInfo, Kernel, KernelWithFallback, NamedKernel
-from bayes_body.kernels.batching import DEVICES, everywhere, replicated
+from bayes_body.kernels.batching import DEVICES, accelerator_memory, everywhere, replicated, several_runs
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
 
-# (key of the run, number of the frame, particles, density) -> particles and information; the first and third for all runs, if devices share the runs.
+# (key of the run, number of the frame, particles, density) -> particles and information; the first and third for several runs if they are stacked.
 type Step = Callable[..., tuple[Particles, FilterInfo]]
 
 
@@ -40,20 +42,32 @@ class Layout(NamedTuple):
 
     Attributes:
         runs: number of runs.
-        devices: number of devices that share the runs, each with as many as the others; 0 if all devices share the particles of each run.
+        devices: number of devices that share the runs; 0 if all devices share the particles of each run.
+        is_batch: whether all runs are computed at once, as one batch.
     """
 
     runs: int
     devices: int
+    is_batch: bool = False
+
+    @property
+    def stacked(self) -> int:
+        """Number of runs that one call of the program computes, stacked; 0 if it computes a single one."""
+        return self.runs if self.is_batch else self.devices
 
     def place[Tree](self, tree: Tree) -> Tree:
         """Return what all runs have in common, on every device that is used."""
         return jax.device_put(tree, NamedSharding(self._mesh, PartitionSpec())) if self.devices else everywhere(tree)
 
-    def stack(self, keys: list[Key], filters: list[Particles]) -> tuple[Keys, Particles]:
-        """Return the keys and the particles of all runs, spread over the devices."""
+    def stacks(self, keys: list[Key], filters: list[Particles]) -> list[tuple[Keys, Particles]]:
+        """Return the keys and the particles of all runs for each call of the program. The last call repeats the last run where there are too few."""
+        calls = [range(first, first + self.stacked) for first in range(0, self.runs, self.stacked)]
+        return [self._stack(*zip(*((keys[run], filters[run]) for run in np.minimum(call, self.runs - 1)), strict=True)) for call in calls]
+
+    def _stack(self, keys: tuple[Key, ...], filters: tuple[Particles, ...]) -> tuple[Keys, Particles]:
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *filters)
-        return self.scatter((jax.numpy.stack(keys), stacked))
+        arguments = jax.numpy.stack(keys), stacked
+        return everywhere(arguments) if self.is_batch else self.scatter(arguments)
 
     def scatter[Tree](self, tree: Tree) -> Tree:
         """Return a tree with a leading axis (run,), spread over the devices."""
@@ -69,16 +83,34 @@ class Layout(NamedTuple):
         return Mesh(np.array(jax.devices()[: self.devices]), (DEVICES,))
 
 
+type Order = Literal["by the device", "at once", "one by one"]
+_ORDER: ContextVar[Order] = ContextVar("order of runs", default="by the device")
+
+
+@contextmanager
+def runs_computed(order: Order) -> Iterator[None]:
+    """Compute all runs of a frame at once or one by one in the `with` block, whatever is best on this device: to compare them."""
+    token = _ORDER.set(order)
+    try:
+        yield
+    finally:
+        _ORDER.reset(token)
+
+
 def layout_of(kernel: Kernel, runs: int) -> Layout:
     """Return how the runs of a kernel lie on the devices of this process."""
+    order = _ORDER.get()
+    at_once = accelerator_memory() is not None if order == "by the device" else order == "at once"
+    if at_once:
+        return Layout(runs, 0, is_batch=runs > 1)
     name = getattr(kernel, "kind", "")
     if name not in names("kernel") or not find("kernel", name).runs_together:
         return Layout(runs, 0)
-    return side_by_side(runs)
+    return Layout(runs, min(runs, len(jax.devices())))
 
 
 def side_by_side(runs: int) -> Layout:
-    """Return the layout in which the devices share the runs."""
+    """Return the layout in which the devices share the runs, each with as many as the others."""
     return Layout(runs, max(devices for devices in range(1, min(runs, len(jax.devices())) + 1) if runs % devices == 0))
 
 
@@ -105,7 +137,7 @@ type Ahead = Future[Program | None]
 def form_of(layout: Layout, key: Key, particles: Particles, density: Density) -> Any:
     """Return a value that is equal for all arguments that one program accepts."""
     leaves, tree = jax.tree.flatten((key, particles, density))
-    return layout if layout.devices else None, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+    return layout if layout.stacked else None, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
 def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, density: Density) -> Lowered:
@@ -120,14 +152,18 @@ def traced(kernel: Kernel, layout: Layout, key: Key, particles: Particles, densi
         return jax.lax.map(lambda run: frame_of_run(run[0], frame, run[1], density), (run_keys, particles))
 
     frame = layout.place(np.int32(0))
-    if not layout.devices:
+    if not layout.stacked:
         return jax.jit(frame_of_run, out_shardings=replicated()).lower(key, frame, particles, density)
-    keys, filters = layout.stack([key] * layout.runs, [particles] * layout.runs)
-    return jax.jit(layout.spread(frame_of_runs)).lower(keys, frame, filters, density)
+    keys, filters = layout.stacks([key] * layout.runs, [particles] * layout.runs)[0]
+    if not layout.is_batch:
+        return jax.jit(layout.spread(frame_of_runs)).lower(keys, frame, filters, density)
+    batch = jax.vmap(frame_of_run, (0, None, 0, None))
+    with several_runs(layout.runs):
+        return jax.jit(batch, out_shardings=replicated()).lower(keys, frame, filters, density)
 
 
 class Dispatched(NamedTuple):
-    """What the devices compute: the outcome of each run, or of all runs by the density that was used."""
+    """What the devices compute: the outcome of each run; or for each density that was used, the outcomes of the calls that compute all runs."""
 
     outcomes: list[Any]
     densities: list[int]
@@ -135,10 +171,13 @@ class Dispatched(NamedTuple):
 
     def fetch(self) -> tuple[list[tuple[Particles, FilterInfo]], list[Particles]]:
         """Wait for the devices. Return the results of each run on the host, and its particles for the next frame."""
-        fetched = jax.device_get(self.outcomes)
-        if not self.layout.devices:
+        fetched, stacked = jax.device_get(self.outcomes), self.layout.stacked
+        if not stacked:
             return fetched, [after for after, _ in self.outcomes]
-        runs = [jax.tree.map(lambda leaf, run=run: leaf[run], fetched[density]) for run, density in enumerate(self.densities)]
+        runs = [
+            jax.tree.map(lambda leaf, place=run % stacked: leaf[place], fetched[density][run // stacked])
+            for run, density in enumerate(self.densities)
+        ]
         return runs, [after for after, _ in runs]
 
 
@@ -151,15 +190,16 @@ def dispatch(step: Step, layout: Layout, keys: list[Key], frame: Any, filters: l
         keys: the keys of the runs.
         frame: the number of the frame, on the devices.
         filters: the particles of the runs.
-        densities: the density of each run. If the devices share the runs, all runs are computed for each different one.
+        densities: the density of each run. If runs are stacked, all runs are computed for each different one.
     """
-    if not layout.devices:
+    if not layout.stacked:
         outcomes = [step(key, frame, particles, density) for key, particles, density in zip(keys, filters, densities, strict=True)]
         return Dispatched(outcomes, [], layout)
-    stacked_keys, stacked = layout.stack(keys, filters)
-    different = list({id(density): density for density in densities}.values())
-    places = [next(place for place, other in enumerate(different) if other is density) for density in densities]
-    return Dispatched([step(stacked_keys, frame, stacked, density) for density in different], places, layout)
+    calls = layout.stacks(keys, filters)
+    distinct = list({id(density): density for density in densities}.values())
+    places = [next(place for place, used in enumerate(distinct) if used is density) for density in densities]
+    outcomes = [[step(stacked_keys, frame, stacked, density) for stacked_keys, stacked in calls] for density in distinct]
+    return Dispatched(outcomes, places, layout)
 
 
 @contextmanager
@@ -191,7 +231,8 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
 
     pool = ThreadPoolExecutor(1, thread_name_prefix="compile")
     try:
-        yield pool.submit(work)
+        # With this thread's choice of the layout.
+        yield pool.submit(copy_context().run, work)
     except BaseException:
         given_up.set()
         raise

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from bayes_body.base.errors import InputError
+from bayes_body.kernels.batching import assumed_accelerator
 from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.model.build import build_model
-from bayes_body.tracking.program import compiled_ahead
+from bayes_body.tracking.program import Layout, compiled_ahead, layout_of, runs_computed
 from bayes_body.tracking.track import track
 
 KEY = jax.random.key(11)
@@ -113,3 +114,36 @@ def test_a_second_run_of_the_same_form_is_not_traced_again(textured_session, arm
 def test_a_kernel_with_the_same_options_is_the_same_object(arm):
     assert arm.kernel("sir", particles=40) is arm.kernel("sir", particles=40)
     assert arm.kernel("sir", particles=40) is not arm.kernel("sir", particles=41)
+
+
+@pytest.mark.parametrize(("kind", "options"), [("sir", {}), pytest.param("tempered", {"moves": 1}, marks=pytest.mark.slow)])
+def test_runs_at_once_draw_what_they_draw_one_by_one(textured_session, arm, kind, options):
+    """In a batch XLA may round otherwise, and a choice that then falls otherwise changes a particle: so most of them are compared."""
+    kernel = arm.kernel(kind, particles=40, **options)
+    draws = {}
+    for order in ("one by one", "at once"):
+        with runs_computed(order), compiled_ahead(textured_session, arm, kernel, 40, runs=3) as ahead:
+            draws[order] = track(KEY, textured_session, arm, kernel, 40, runs=3, frames=1, ahead=ahead)
+        assert layout_of(kernel, 3).is_batch is False
+    apart = np.abs(draws["at once"].states["pose"] - draws["one by one"].states["pose"]).max(axis=-1)
+    assert apart.shape == (3, 1, 40) and np.median(apart) < 1e-4 and (apart < 1e-4).mean() > 0.9
+    assert len({states.tobytes() for states in draws["at once"].states["pose"]}) == 3
+
+
+def test_an_accelerator_computes_all_runs_at_once(arm):
+    kernel = arm.kernel("sir", particles=40)
+    with assumed_accelerator(1e12):
+        assert layout_of(kernel, 3) == Layout(3, 0, is_batch=True) and not layout_of(kernel, 1).is_batch
+        with runs_computed("one by one"):
+            assert layout_of(kernel, 3) == Layout(3, 0)
+
+
+@pytest.mark.slow
+def test_more_runs_than_devices_draw_what_fewer_draw(keypoint_session):
+    """Devices that share the runs compute one at a time: the third run is the first of a second call."""
+    model = build_model("arm_markers", keypoint_session)
+    kernel = model.kernel("laplace", particles=40, fallback="none")
+    assert len(jax.devices()) == 2 and layout_of(kernel, 3).devices == 2
+    three, two = (track(KEY, keypoint_session, model, kernel, 40, runs=runs, frames=2).states["pose"] for runs in (3, 2))
+    np.testing.assert_array_equal(three[:2], two)
+    assert np.isfinite(three).all() and not (three[2] == three[1]).any()
