@@ -19,6 +19,7 @@ import numpy as np
 
 from bayes_body.base.errors import input_error
 from bayes_body.initial import Show
+from bayes_body.kernels.batching import accelerator_memory, work_room
 from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import Model
 from bayes_body.view.figures_text import warning_line
@@ -47,7 +48,7 @@ def check_size(model: Model, options: Mapping[str, Any], runs: int) -> None:
     for name, value in options.items():
         if isinstance(value, int) and name != "particles" and value > MOST:
             raise input_error(f"the kernel's {name}", str(value), f"at most {MOST}", "give a smaller number")
-    needed, available = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), memory_bytes()
+    needed, available = least_bytes(configuration_space(model.body).dimension, options["particles"], runs), particle_memory()
     if available is not None and needed > available:
         many = f"{options['particles']} particles" + (f" in each of {runs} runs" if runs > 1 else "")
         problem = f"at least {gigabytes(needed)} of memory for {many}"
@@ -59,6 +60,12 @@ def check_size(model: Model, options: Mapping[str, Any], runs: int) -> None:
 def least_bytes(dofs: int, particles: int, runs: int) -> int:
     """Return a lower bound of the memory for the particles of a frame, bytes."""
     return runs * (RUN_BYTES + COPIES * NUMBER_BYTES * particles * (dofs + WEIGHT_AND_ANCESTOR))
+
+
+def particle_memory() -> int | None:
+    """Return the memory for the particles of all runs, bytes: on an accelerator without that for the work of a batch. None if it is not known."""
+    whole = memory_bytes()
+    return whole if whole is None or accelerator_memory() is None else whole - int(work_room(float(whole)))
 
 
 def memory_bytes() -> int | None:

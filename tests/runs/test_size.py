@@ -6,6 +6,7 @@ import jax
 import pytest
 
 from bayes_body.base.errors import InputError
+from bayes_body.kernels.batching import WORK_SHARE, assumed_accelerator, work_room
 from bayes_body.model.body.solids import configuration_space
 from bayes_body.model.build import build_model
 from bayes_body.runs import size
@@ -48,3 +49,13 @@ def test_the_smallest_limit_is_the_memory(monkeypatch, tmp_path):
     assert memory_bytes() != 1_000_000
     monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(memory_stats=lambda: {"bytes_limit": 77})])
     assert memory_bytes() == 77
+
+
+def test_on_an_accelerator_the_work_of_a_batch_needs_room_beside_the_particles(model, monkeypatch):
+    there = least_bytes(configuration_space(model.body).dimension, 1000, 3)
+    monkeypatch.setattr(size, "memory_bytes", lambda: there)
+    with assumed_accelerator(float(there)):
+        assert there - size.particle_memory() == int(work_room(float(there))) == int(WORK_SHARE * there)
+        check_size(model, {"particles": 700}, 3)
+        with pytest.raises(InputError, match="for 1000 particles in each of 3 runs"):
+            check_size(model, {"particles": 1000}, 3)
