@@ -28,7 +28,7 @@ def configure(devices: int | None = None, cache: bool = True) -> None:
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_force_host_platform_device_count" not in flags:
-        count = devices or min(_cores(), 16)
+        count = devices or min(core_count(), 16)
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={count}".strip()
     _use_one_blas_thread()
     # Errors of XLA arrive as exceptions. What it would log instead is an alarm that asks users to report that compiling takes a while.
@@ -77,7 +77,7 @@ def ignore_plot_settings_here() -> None:
         os.close(folder_before)
 
 
-def _cores() -> int:
+def core_count() -> int:
     """The cores that this process may use; a cluster gives it some of the machine's."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

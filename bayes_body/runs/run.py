@@ -41,6 +41,7 @@ from bayes_body.results.storage.names import RUN_FILE
 from bayes_body.results.storage.results import Results
 from bayes_body.results.storage.run_changes import refuse_changes
 from bayes_body.results.storage.run_file import describe, write_run_file
+from bayes_body.runs.device import device_lines
 from bayes_body.runs.finish import check_pairs, finish, kept_frames, remark_on_stop
 from bayes_body.runs.progress import progress_bar
 from bayes_body.runs.recovery import PersonRecovery
@@ -207,6 +208,8 @@ def begin(
     _show_first_fit(session, model, show)
     frames = _stored_frames(settings, before, record, wanted, session.first_frame, show, bar, thinning_of(model.transition, keep))
     for line in disk_lines(settings.out, model, options.model_dump(), chosen.runs, max(wanted, len(frames)), len(frames), keep):
+        show(line)
+    for line in device_lines():
         show(line)
     for note in notes([("kernel", kind), *(("likelihood", term.kind) for term in definition.likelihoods)]):
         show(note)
