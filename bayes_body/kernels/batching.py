@@ -27,8 +27,8 @@ DEVICES = "particle"
 WORK_BYTES, WORK_SHARE = 8e9, 1 / 4
 # Several accelerators share the particles if there are more than these: with fewer, a frame takes one of them as long as with a tenth of them.
 SHARED_FROM = 4096
-# More than the work of a particle takes in any model that ships, bytes.
-MOST_WORK_BYTES = 2_000_000
+# To look at the work of a particle is to trace its program again. Few particles are one batch without that: what fits with this much each, bytes.
+MOST_WORK_BYTES = 20_000_000
 # Where an accelerator does not say what memory it has, bytes.
 USUAL_MEMORY = 8e9
 _ALONE: ContextVar[bool] = ContextVar("one device", default=False)
@@ -112,7 +112,6 @@ def work_room(memory: float) -> float:
 def _batch_by_memory(count: int, bytes_of_one: Callable[[], int], memory: float) -> int:
     """Return how many of `count` particles are computed at once on an accelerator: all, or parts of about the same size."""
     room = work_room(memory) / _RUNS.get()
-    # Most programs have so few particles that it does not matter what one of them needs.
     if count * MOST_WORK_BYTES <= room:
         return count
     most = max(1, int(room / max(1, bytes_of_one())))

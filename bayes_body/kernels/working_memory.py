@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
 
 def work_bytes(function: Callable[..., Any], particles: Any, shared: Any) -> int:
@@ -52,10 +52,10 @@ def _inner(equation: JaxprEqn) -> Iterator[Jaxpr]:
     """Yield the programs within an operation: the body of a loop, the branches of a condition, a function that is called."""
     for parameter in equation.params.values():
         for value in parameter if isinstance(parameter, tuple | list) else (parameter,):
-            if isinstance(value, ClosedJaxpr):
-                yield value.jaxpr
-            elif isinstance(value, Jaxpr):
-                yield value
+            # A closed program has its constants beside it.
+            program = getattr(value, "jaxpr", value)
+            if isinstance(program, Jaxpr):
+                yield program
 
 
 def _arguments(equation: JaxprEqn, inner: Jaxpr, varying: set[Var]) -> set[Var]:

@@ -1,7 +1,7 @@
 """What a GPU gives: evaluations a second, seconds a frame, runs at once or one by one, memory. `BAYES_BODY_DATA=... python tests/bench/gpu.py`.
 
 On an H200 it is meant to take less than eight minutes; no part begins after `--seconds`. `--quick` tries every part with small sizes, on a CPU too:
-there batches are as on an accelerator of 8 GB, and their speed means nothing. Rows are printed as they come, and written to `--json` after each part.
+there batches are as on an accelerator of 0.4 GB, and the speed means nothing. Rows are printed as they come, and written to `--json` as well.
 """
 
 import argparse
@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     options = parser.parse_args()
     begun, session, rows = time.perf_counter(), recording(), []
-    assumed = assumed_accelerator(8e9) if accelerator_memory() is None else nullcontext()
+    assumed = assumed_accelerator(4e8) if accelerator_memory() is None else nullcontext()
     for line in device_lines():
         print(line)
     with assumed:
