@@ -15,7 +15,25 @@ import typer
 import bayes_body
 from bayes_body.base.errors import FaultyFileError, InputError, RunWarning, input_error
 from bayes_body.base.files.read import check_native
-from bayes_body.cli import benchmark, check, demo, export, fit, gait, import_, learn, mocap, models, picture, report, simulate, smooth, track, view
+from bayes_body.cli import (
+    benchmark,
+    check,
+    combine,
+    demo,
+    export,
+    fit,
+    gait,
+    import_,
+    learn,
+    mocap,
+    models,
+    picture,
+    report,
+    simulate,
+    smooth,
+    track,
+    view,
+)
 from bayes_body.cli.surroundings import STOPPED, check_current_folder, fault_of_surroundings, stoppable
 from bayes_body.cli.terminal import Guarded, complain, guarded, say
 
@@ -36,6 +54,7 @@ COMMANDS: tuple[tuple[str, Any, str], ...] = (
     ("fit", fit.fit, "Infer lengths and cameras from keypoints."),
     ("track", track.track, "Track the person in a session."),
     ("smooth", smooth.smooth, "Smooth a run: its frames then know the later ones, too."),
+    ("combine", combine.combine, "Put independent runs of a session together."),
     ("report", report.report, "Write a run's report: one HTML file."),
     ("view", view.view, "Write a run as an HTML file that turns and plays in 3D."),
     ("picture", picture.picture, "Draw a frame or the curves of a run for a paper."),

@@ -4,7 +4,7 @@ What a run says about a likelihood that compares frames: where it is silent, and
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,7 @@ def finish(
     smoothed: bool = False,
     pictures: bool = True,
     live: Mapping[str, Any] | None = None,
+    seeds: Sequence[int] = (),
 ) -> dict[str, Any]:
     """Write posterior, summary and pictures, unless they exist for these frames, and show figures and warnings. Return the content of the summary.
 
@@ -102,6 +103,7 @@ def finish(
         pictures: whether to draw the video and the stills, and to compare a body that was fitted to keypoints with the silhouettes. A later call may
             draw them.
         live: figures of a run whose frames came while they were tracked, for the summary.
+        seeds: the seeds of runs that were put together, for the summary.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -119,6 +121,8 @@ def finish(
         summary["frame_pairs"] = remarks
         if live is not None:
             summary["live"] = dict(live)
+        if seeds:
+            summary["seeds"] = list(seeds)
         summary["warnings"] = [*fit_sentences(summary), *remarks, *warnings, *unknown_sentences(summary)]
         write_text(out / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
         results.add(SUMMARY_FILE)

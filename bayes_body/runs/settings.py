@@ -26,6 +26,8 @@ from bayes_body.results.storage.run_file import read_record, read_run_file, refu
 GIVEN, AUTO = "given", "auto"
 DEFAULTS = {"runs": 1, "seed": 0, "init": GIVEN}
 
+COMBINE_AGAIN = "continue these runs, and put them together again with `bayes-body combine`"
+
 type Record = dict[str, dict[str, Any]]
 
 
@@ -146,6 +148,8 @@ def stored_record(settings: Settings) -> Record | None:
     refuse_links(out)
     if settings.resume and (out / RUN_FILE).exists():
         record = read_run_file(out)
+        if record.get("chains"):
+            raise input_error(out, "runs that were put together", "the run of a filter", COMBINE_AGAIN)
         if record.get("smoothing"):
             raise input_error(out, "a smoothed run", "the run of a filter", "continue it with `bayes-body smooth`")
         return record

@@ -25,7 +25,7 @@ from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.joint import check_joint, joint_paths
 from bayes_body.runs.progress import smoothing_bar
-from bayes_body.runs.settings import Record, refuse_occupied
+from bayes_body.runs.settings import COMBINE_AGAIN, Record, refuse_occupied
 from bayes_body.runs.size import smoothing_lines
 from bayes_body.tracking.draws import Draws, timing_of
 from bayes_body.tracking.smooth import smooth
@@ -133,7 +133,8 @@ def _of_few(source: SavedRun, options: Options) -> str:
     """
     problem = f"only {source.kept} of {source.kernel['particles']} particles of a frame are stored"
     if source.model.transition.frames_read is None or options.start == "particles":
-        remedy = "smooth with --start ensemble" if options.start == "particles" else "track again without --keep"
+        whole_run = "put the runs together with --keep all" if source.chains else "track again without --keep"
+        remedy = "smooth with --start ensemble" if options.start == "particles" else whole_run
         raise input_error(source.folder, problem, f"all of them: the paths follow the filter's ancestors; or {remedy}", remedy)
     return f"note: {problem}; the paths are laid from these."
 
@@ -142,6 +143,8 @@ def _continued(settings: SmoothSettings) -> Record | None:
     """Return the tables of the smoothed run that is to be continued; None if a new one is started."""
     if settings.resume and (settings.out / RUN_FILE).exists():
         record = read_run_file(settings.out)
+        if record.get("chains"):
+            raise input_error(settings.out, "smoothed runs that were put together", "a smoothed run", COMBINE_AGAIN)
         if not record.get("smoothing"):
             raise input_error(settings.out, "the run of a filter", "a smoothed run", "name another folder with --out")
         return record
@@ -151,7 +154,7 @@ def _continued(settings: SmoothSettings) -> Record | None:
 
 def _record(source: SavedRun, filtered: FrameFiles, options: Options | JointOptions, seed: int) -> Record:
     """Return the tables of `run.toml`: those of the filter's run, and how it was smoothed."""
-    record = {name: table for name, table in read_run_file(source.folder).items() if name != "check"}
+    record = {name: table for name, table in read_run_file(source.folder).items() if name not in ("check", "chains")}
     origin = {"folder": str(source.folder.resolve()), "run": source.id, "last": filtered.last_digest, "frames": len(filtered)}
     return {**record, **computing_here(), "smoothing": {**origin, "seed": seed, **options.model_dump()}}
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import ErrorDeferringFile, make_folder, replacing
+from bayes_body.base.progress import Watch, unwatched
 from bayes_body.results.posterior.layout import Variable, attributes_of, coordinates, dims_of, groups, sizes, unit_name
 from bayes_body.tracking.draws import Draws, FrameResult, Frames
 
@@ -31,8 +32,8 @@ CHUNK_BYTES, CHUNK_FRAMES = 2**20, 256
 IN_CHUNKS = ("posterior", "sample_stats")
 
 
-def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | None = None) -> None:
-    """Write the tree of `to_datatree(draws, attributes)` as NetCDF, either completely or not at all.
+def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | None = None, watch: Watch = unwatched) -> None:
+    """Write the tree of `to_datatree(draws, attributes)` as NetCDF, either completely or not at all. `watch` draws a progress bar.
 
     Raises:
         InputError: the disk is full, the file system does not accept the file, or a frame's file is damaged.
@@ -46,7 +47,7 @@ def stream_posterior(draws: Draws, path: Path, attributes: Mapping[str, Any] | N
         with h5netcdf.File(steady, "w") as file:
             file.attrs.update(attributes_of(draws, attributes))
             arrays = [array for name, members in groups(draws).items() for array in _make_group(file, name, members, draws, step)]
-            for start in range(0, count, step):
+            for start in watch(range(0, count, step)):
                 if not steady.error:
                     _write_block(arrays, [draws.frames[index] for index in range(start, min(start + step, count))], start)
         if steady.error:

@@ -6,7 +6,7 @@ The texts of the plugins are stored for comparison and for people to read. They 
 import ast
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,8 @@ RECORDING = "recording: "
 DESCRIPTIONS = {f"{file}: {key}" for file in ("the model's file", "the body's file") for key in ("title", "source")}
 # What changes in a session while it is recorded.
 GROWING = (f"{FILE_NAME}: frames", f"{FILE_NAME}: recorded")
+# In what the runs of one session differ that are put together as chains: their randomness, and how many filters each has.
+BY_CHAIN = ("--seed", "--runs", "smoothing.seed", "smoothing.folder", "smoothing.run", "smoothing.last")
 # Digits of a run's id.
 DIGITS = 16
 
@@ -80,15 +82,42 @@ def refuse_changes(folder: Path, stored_record: Mapping[str, Mapping[str, Any]],
         InputError: something has changed; the sentence names it with the old and the new value.
     """
     stored_values, new_values = _comparable(stored_record), _comparable(record)
-    changed = [
-        key for key in dict.fromkeys([*stored_values, *new_values]) if stored_values.get(key) != new_values.get(key) and key not in DESCRIPTIONS
-    ]
-    if not changed:
-        return
-    named = [_describe_change(key, stored_values, new_values) for key in changed[:NAMED]]
-    more = [f"{len(changed) - NAMED} more differ"] if len(changed) > NAMED else []
-    remedy = "change it back, or start a new run in another folder with --out"
-    raise input_error(f"{folder}: cannot be continued", "; ".join([*named, *more]), "the settings with which the run started", remedy)
+    changed = [_describe_change(key, stored_values, new_values) for key in _changed(stored_values, new_values)]
+    if changed:
+        remedy = "change it back, or start a new run in another folder with --out"
+        raise input_error(f"{folder}: cannot be continued", _listed(changed), "the settings with which the run started", remedy)
+
+
+def refuse_strangers(folders: Sequence[Path], records: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
+    """Check that runs are independent runs of one session with the same model and options, which differ in their seeds only.
+
+    Args:
+        folders: the folders of the runs.
+        records: their tables.
+
+    Raises:
+        InputError: a run differs in more; the sentence names the folder, the value there and that of the first run.
+    """
+    values = [{key: value for key, value in _comparable(record).items() if key not in BY_CHAIN} for record in records]
+    expected, remedy = "the same session, model and options in all runs, only other seeds", "leave it out, or make it again like the first run"
+    for folder, of_run in zip(folders[1:], values[1:], strict=True):
+        differences = [
+            f"{key.removeprefix(RECORDING)} is {_shown(of_run, key)}, and {_shown(values[0], key)} in the first run"
+            for key in _changed(values[0], of_run)
+        ]
+        if differences:
+            raise input_error(f"{folder}: does not belong to {folders[0]}", _listed(differences), expected, remedy)
+
+
+def _changed(stored_values: Mapping[str, Any], new_values: Mapping[str, Any]) -> list[str]:
+    """Return the names of the values that differ, without those on which no number depends."""
+    return [key for key in dict.fromkeys([*stored_values, *new_values]) if stored_values.get(key) != new_values.get(key) and key not in DESCRIPTIONS]
+
+
+def _listed(changes: Sequence[str]) -> str:
+    """Return the first changes, and the number of the others."""
+    more = [f"{len(changes) - NAMED} more differ"] if len(changes) > NAMED else []
+    return "; ".join([*changes[:NAMED], *more])
 
 
 def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -103,6 +132,8 @@ def _comparable(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     named |= {"--keep": f"draws={run['keep']}"} if run.get("keep") else {}
     named |= {f"kernel.{key}": value for key, value in _leaves(record["kernel"])}
     named |= {f"smoothing.{key}": value for key, value in _leaves(record.get("smoothing") or {})}
+    chains = {name: values for name, values in (record.get("chains") or {}).items() if name != "folders"}
+    named |= {f"chains.{key}": value for key, value in _leaves(chains)}
     named |= {"the precision": record.get("machine", {}).get("precision")}
     named |= {f"the version of {package}": record["versions"].get(package) for package in COMPUTING}
     named |= {f"the plugin {name}": meaning(text) for name, text in kept_plugins(record).items()}

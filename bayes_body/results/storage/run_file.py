@@ -72,6 +72,16 @@ class SmoothingTable(Schema):
     candidates: Count | None = None
 
 
+class ChainsTable(Schema):
+    """`[chains]` of runs that were put together: the folder, id, seed and last frame's digest of each of them, and their number of frames."""
+
+    folders: list[Text]
+    runs: list[Text]
+    seeds: list[Annotated[int, Field(strict=True, ge=0)]]
+    last: list[Text]
+    frames: Count
+
+
 class DefinitionTable(Schema):
     """`[definition]`: the text of the definition and of its body."""
 
@@ -107,6 +117,7 @@ class RunFile(Schema):
     plugins: dict[str, Text] = {}
     first_pose: dict[str, Any] = {}
     smoothing: SmoothingTable | None = None
+    chains: ChainsTable | None = None
     check: CheckTable
 
 

@@ -60,6 +60,7 @@ class SavedRun:
         plugins: the texts of the user's plugins that registered terms of this run, by file name.
         id: the run's id.
         smoothing: the run whose frames were smoothed, and the options; empty for the run of a filter.
+        chains: the runs that were put together as the chains of this one (`ChainsTable`); empty for any other run.
     """
 
     folder: Path
@@ -74,6 +75,7 @@ class SavedRun:
     plugins: Mapping[str, str] = field(default_factory=dict)
     id: str = ""
     smoothing: Mapping[str, Any] = field(default_factory=dict)
+    chains: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def smoothed(self) -> bool:
@@ -221,6 +223,7 @@ def load_run(folder: Path | str) -> SavedRun:
         plugins=kept_plugins(record),
         id=record["check"]["run"],
         smoothing=record.get("smoothing", {}),
+        chains=record.get("chains", {}),
     )
 
 

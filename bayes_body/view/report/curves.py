@@ -63,8 +63,8 @@ def clinical_curves(run: "SavedRun", frames: range) -> Curves:
 
 
 def filter_curves(run: "SavedRun", frames: range) -> FilterCurves | None:
-    """Return the curves of the filter's run; None if the run is not smoothed, or if the filter's run is gone or another one."""
-    source = _source(run) if run.smoothed else None
+    """Return the curves of the filter's run; None if the run is not smoothed or made of several, or if the filter's run is gone or another one."""
+    source = _source(run) if run.smoothed and not run.chains else None
     if source is None:
         return None
     with source:

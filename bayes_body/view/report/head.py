@@ -165,6 +165,7 @@ def findings(warnings: Sequence[str]) -> Markup:
 LONGEST = 200_000
 AGAIN, AGAIN_SMOOTH = "This command repeats the run.", "This command smooths the same run of the filter again."
 IDENTICAL = "With the same versions on the same kind of processor, the result is identical to the last bit."
+COMBINE_AGAIN = "This command puts the same runs together again."
 SMOOTHER_OPTIONS = ("draws", "start", "moves", "seed")
 KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 
@@ -172,6 +173,9 @@ KERNEL_OPTIONS = ("particles", "layers", "move", "moves", "leapfrog_steps")
 def command(run: "SavedRun") -> str:
     """Return `bayes-body track ...`, or `bayes-body smooth ...`, with the settings that are command-line options; the definition has the others."""
     new_folder = f"{run.folder.resolve()}_again"
+    if run.chains:
+        draws = f"draws={run.kept}" if run.kept else "all"
+        return shlex.join(["bayes-body", "combine", *run.chains["folders"], "--out", new_folder, "--keep", draws])
     if run.smoothed:
         words = ["bayes-body", "smooth", str(run.smoothing["folder"]), "--out", new_folder]
         return _with_options(words, {name: run.smoothing[name] for name in SMOOTHER_OPTIONS if name in run.smoothing})
@@ -192,8 +196,9 @@ def _with_options(words: list[str], options: Mapping[str, Any]) -> str:
 def provenance_section(run: "SavedRun") -> Markup:
     """Return the section. It needs neither the session's folder nor its images."""
     parts: list[str] = [
-        tag("p", f"{AGAIN_SMOOTH if run.smoothed else AGAIN} {IDENTICAL}"),
+        tag("p", f"{COMBINE_AGAIN if run.chains else AGAIN_SMOOTH if run.smoothed else AGAIN} {IDENTICAL}"),
         tag("pre", tag("code", command(run))),
+        *([tag("h3", "Runs"), table((), _chains(run))] if run.chains else []),
         *([tag("h3", "Smoother"), table((), _rows(run.smoothing))] if run.smoothed else []),
         tag("h3", "Kernel of the filter" if run.smoothed else "Kernel"),
         table((), [(key, str(value)) for key, value in run.kernel.items()]),
@@ -205,6 +210,11 @@ def provenance_section(run: "SavedRun") -> Markup:
     names = {"text": f"Definition: {run.settings['model']}", "body_text": "Body", "session": "Session, as the run saw it"}
     parts += [details(title, tag("pre", tag("code", _cut(run.texts[key])))) for key, title in names.items() if run.texts.get(key)]
     return section("made", "How it was made", *parts)
+
+
+def _chains(run: "SavedRun") -> list[tuple[str, str]]:
+    """Return the folder and the seed of each run that is a chain of this one."""
+    return [(folder, f"seed {seed}") for folder, seed in zip(run.chains["folders"], run.chains["seeds"], strict=False)]
 
 
 def _rows(values: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ import pytest
 from bayes_body.density.kernel import NO_ANCESTOR, FilterInfo
 from bayes_body.density.spaces import euclidean
 from bayes_body.results.posterior.agreement import by_chain
+from bayes_body.results.posterior.chains import joined
 from bayes_body.results.posterior.thinning import choose, thinned
 from bayes_body.results.posterior.weighted import equal_weight_poses, frame_rhat
 from bayes_body.tracking.draws import FrameResult
@@ -106,3 +107,28 @@ def test_markov_chains_are_thinned_evenly(draws, length):
     by_chain_of_all = steps.reshape(chains, -1)
     assert (found[:, -1] == by_chain_of_all[:, -1]).all() and set(np.diff(found, axis=1).ravel().tolist()) <= {1.0, 2.0, 3.0}
     assert "markov_rhat_pose" in few.figures
+
+
+def a_run(seed, particles):
+    """One run, whose particles are skewed and whose mean is off by chance."""
+    rng = np.random.default_rng(seed)
+    whole = frame(np.log(rng.gamma(2.0, size=(1, particles))))
+    log_weights = whole.log_weights - np.log(np.exp(whole.log_weights).sum())
+    states = {"pose": (rng.gamma(2.0, size=(1, particles, DOFS)) + 0.2 * rng.normal(size=DOFS)).astype(np.float32)}
+    return dataclasses.replace(whole, states=states, log_weights=log_weights)
+
+
+def test_runs_that_were_thinned_before_they_are_put_together_have_the_figures_of_all_particles():
+    runs = [a_run(seed, 4000) for seed in range(4)]
+    together = joined(runs, 3, SPACES)
+    assert not together.figures and together.log_weights.shape == (4, 4000) and together.seconds == 2.0
+    whole, few = thinned(together, 3, 200, SPACES).figures, joined([thinned(of_run, 3, 200, SPACES) for of_run in runs], 3, SPACES).figures
+    assert whole.keys() == few.keys() and list(few["particles"]) == [4000] * 4
+    for name in ("ess", "pareto_k", "ancestors", "mean_pose"):
+        np.testing.assert_allclose(few[name], whole[name], rtol=1e-5, err_msg=name)
+    # The means are those of all particles, so only the spread of 4 x 200 draws is uncertain: a relative error of a squared spread of
+    # sqrt((kurtosis - 1) / draws), kurtosis 6 of this distribution.
+    assert few["independent_draws"] == pytest.approx(whole["independent_draws"], rel=4 * np.sqrt(5 / 800))
+    # The squared R-hat has a term (n - 1) / n for halves of n draws, which is 1 / 100 smaller.
+    np.testing.assert_allclose(few["rhat_pose"], whole["rhat_pose"], atol=0.01)
+    assert (whole["rhat_pose"] > 1.005).any()
