@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 DIGEST_BYTES = 32
+# How many programs of this process came from the cache, and how many had to be compiled.
+LOOKUPS = {"hits": 0, "misses": 0}
 
 
 class Files(Protocol):
@@ -38,6 +40,11 @@ class CheckedPrograms:
 
     def get(self, key: str) -> bytes | None:
         """The program of a key; None if there is none, or if its entry is damaged or belongs to another key."""
+        program = self._checked(key)
+        LOOKUPS["misses" if program is None else "hits"] += 1
+        return program
+
+    def _checked(self, key: str) -> bytes | None:
         entry = self._files.get(_name(key))
         if entry is None:
             return None

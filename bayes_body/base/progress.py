@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 from rich.progress import track as follow
 
@@ -140,6 +140,20 @@ def steps_bar(total: int, doing: str) -> Iterator[Callable[[int, str], None]]:
         with ProgressLog("steps") as log:
             log.begin(doing)
             yield lambda done, doing: log.move(done, total, f"next {doing}" if done < total else "")
+
+
+@contextmanager
+def units_bar(total: int) -> Iterator[Callable[[int, str], None]]:
+    """Yield a function that takes the number of units of work that have ended, and words about those that run, side by side."""
+    columns = (TextColumn("units, {task.description}"), MofNCompleteColumn(), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    if draws_bars():
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("none running", total=total)
+            yield lambda ended, running: bar.update(task, completed=ended, description=running)
+    else:
+        with ProgressLog("study", "units") as log:
+            log.begin()
+            yield lambda ended, running: log.move(ended, total, running)
 
 
 def draws_bars() -> bool:

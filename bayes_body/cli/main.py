@@ -31,6 +31,8 @@ from bayes_body.cli import (
     report,
     simulate,
     smooth,
+    status,
+    study,
     track,
     view,
 )
@@ -53,6 +55,8 @@ COMMANDS: tuple[tuple[str, Any, str], ...] = (
     ("import", import_.app, "Make a session from a laboratory's files."),
     ("fit", fit.fit, "Infer lengths and cameras from keypoints."),
     ("track", track.track, "Track the person in a session."),
+    ("study", study.study, "Track many sessions, on this machine or a cluster."),
+    ("status", status.status, "Print how far a study is."),
     ("smooth", smooth.smooth, "Smooth a run: its frames then know the later ones, too."),
     ("combine", combine.combine, "Put independent runs of a session together."),
     ("report", report.report, "Write a run's report: one HTML file."),

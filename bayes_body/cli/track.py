@@ -9,6 +9,7 @@ import typer
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
+from bayes_body.cli.study import CLUSTER_HELP, track_several
 from bayes_body.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -26,9 +27,12 @@ LARGEST_PORT = 65_535
 
 
 def track(
-    session: Path = typer.Argument(help="Folder of a session made by `bayes-body import`."),
+    session: list[Path] = typer.Argument(help="Folder of a session made by `bayes-body import`; several make a study, as sessions/*/ does."),
     out: Path | None = typer.Option(
-        None, "--out", help="Folder for the run; by default SESSION_run, or the next free SESSION_run_2 ... Without --resume it must not hold a run."
+        None,
+        "--out",
+        help="Folder for the run; by default SESSION_run, or the next free SESSION_run_2 ... Without --resume it must not hold a run. "
+        "With several sessions: folder of the study, which has OUT/SESSION/RUN/; the same command again continues it.",
     ),
     model: str | None = typer.Option(
         None,
@@ -48,7 +52,11 @@ def track(
     moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle per stage (tempered only)."),
     leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps per trajectory (tempered and hmc only)."),
     settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another option of the kernel, such as step=0.1; may be repeated."),
-    runs: int | None = typer.Option(None, "--runs", help="Number of independent filters, 1 by default; R-hat needs two or more."),
+    runs: int | None = typer.Option(
+        None,
+        "--runs",
+        help="Number of independent filters, 1 by default; R-hat needs two or more. With several sessions, each has a process and a folder.",
+    ),
     first_frame: int | None = typer.Option(
         None,
         "--first-frame",
@@ -86,9 +94,23 @@ def track(
     port: int | None = typer.Option(
         None, "--port", help="Port of the page that shows the last second, on this machine (--live only); a free one by default."
     ),
+    cluster: str | None = typer.Option(None, "--cluster", help=CLUSTER_HELP),
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
+    if len(session) > 1 or cluster is not None:
+        for option, value in (("--live", live), ("--wait", wait), ("--port", port)):
+            if value is not None:
+                raise input_error(option, f"given with {len(session)} sessions", "one session", "track the live recording by itself")
+        table: dict[str, Any] = {
+            "model": model, "kernel": kernel, "particles": particles, "layers": layers, "move": move, "moves": moves,
+            "leapfrog_steps": leapfrog_steps, "set": _with_settings({}, settings), "first_frame": first_frame,
+            "frames": frames, "init": init, "recover": recover, "runs": runs, "seed": seed,
+            "keep_draws": draws_of(keep), "pictures": False if no_pictures else None, "plugins": [str(file) for file in plugin or ()],
+        }  # fmt: skip
+        track_several(session, out, {name: value for name, value in table.items() if value is not None}, cluster)
+        return
+    (session_folder,) = session
     from bayes_body.base.config import configure
 
     configure()
@@ -102,7 +124,7 @@ def track(
 
     live_settings = live_of(live, wait, port)
     # Frames of a live recording may still come.
-    recording = _recording(session, None if live_settings else first_frame)
+    recording = _recording(session_folder, None if live_settings else first_frame)
     counts = {"particles": particles, "layers": layers, "moves": moves, "leapfrog_steps": leapfrog_steps}
     for name, value in (counts | {"runs": runs}).items():
         check_range(f"--{name.replace('_', '-')}", value, 1)
@@ -112,12 +134,12 @@ def track(
         raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     overrides = _with_settings(overrides, settings)
-    folder = out or _free_run(session, resume)
+    folder = out or _free_run(session_folder, resume)
     if out is None:
         say(f"run        {folder}")
     draws, pictures = draws_of(keep), not no_pictures
     asked = Settings(
-        session, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws, pictures, live_settings
+        session_folder, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws, pictures, live_settings
     )
     with own_terms(plugin):
         definition = None

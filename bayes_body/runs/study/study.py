@@ -1,0 +1,153 @@
+"""A study from its file to its end: plan, places, driver, and the pages about it."""
+
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bayes_body.base.errors import InputError
+from bayes_body.base.progress import units_bar
+from bayes_body.runs.study.driver import Driver, Event, Share, Show, check_digests
+from bayes_body.runs.study.host import cores, gpus
+from bayes_body.runs.study.overview import Overview
+from bayes_body.runs.study.places import LocalPlaces, Places
+from bayes_body.runs.study.status import read_study
+from bayes_body.runs.study.study_file import StudyFile, write_study_file
+from bayes_body.runs.study.units import Unit, session_folders, units_of
+
+# Names of sessions that a sentence lists.
+LISTED = 3
+# Units whose commands a preview shows.
+PREVIEWED = 4
+
+
+def run_study(study: StudyFile, out: Path, show: Show, bar: bool) -> bool:
+    """Compute a study, or go on with it. Return whether all its units are done.
+
+    Args:
+        study: with absolute paths; its sessions may be patterns.
+        out: the folder of the study.
+        show: receives lines for the user.
+        bar: whether to show the progress on standard error.
+
+    Raises:
+        InputError: no session, two of one name, or a file that cannot be written; the cluster cannot be reached; the folder has other results.
+    """
+    out = out.resolve()
+    study, units = plan(study, out, show)
+    check_digests(units, out)
+    _remark_on_earlier(study, out, show)
+    write_study_file(study, out)
+    overview = Overview(study, units, out)
+    with places_of(study, units, out, show) as (places, share), _progress(bar, len(units)) as progress:
+
+        def on_event(event: Event) -> None:
+            progress(event)
+            overview.note(event)
+
+        driver = Driver(units, out, places, share, show, on_event)
+        show(f"study      {_counted(study, units)}, {len(driver.done)} of {len(units)} units are done")
+        try:
+            driver.run()
+        except (KeyboardInterrupt, SystemExit):
+            show(f"{out}: stopped; {len(driver.done)} of {len(units)} units are done, and the same command again goes on.")
+            raise
+        finally:
+            overview.write()
+    for key, sentence in driver.failures.items():
+        show(f"failed     {key}: {sentence}")
+    for sentence in overview.remarks():
+        show(f"note: {sentence}")
+    show(f"{out}: {len(driver.done)} of {len(units)} units are done; index.html, study.csv, study.toml")
+    return len(driver.done) == len(units)
+
+
+def plan(study: StudyFile, out: Path, show: Show) -> tuple[StudyFile, list[Unit]]:
+    """Return the study with folders instead of patterns, and its units.
+
+    Raises:
+        InputError: no session, or two of one name.
+    """
+    notes: list[str] = []
+    folders = session_folders(study.sessions, notes)
+    for note in notes:
+        show(f"note: {note}")
+    study = study.model_copy(update={"sessions": [str(folder) for folder in folders]})
+    return study, units_of(study, out)
+
+
+def preview(study: StudyFile, out: Path, show: Show) -> None:
+    """Show what a study would compute, and the job script of its cluster. Nothing is written.
+
+    Raises:
+        InputError: as in `run_study`.
+    """
+    out = out.resolve()
+    study, units = plan(study, out, show)
+    check_digests(units, out)
+    show(f"study      {_counted(study, units)}: {len(units)} units in {out}")
+    for unit in units[:PREVIEWED]:
+        for command in unit.commands:
+            show(f"{unit.key}: bayes-body {shlex.join(command)}")
+    if len(units) > PREVIEWED:
+        show(f"... and {len(units) - PREVIEWED} more units")
+    if study.cluster is not None:
+        from bayes_body.runs.study.cluster import job_script
+
+        show(job_script(study))
+
+
+@contextmanager
+def places_of(study: StudyFile, units: list[Unit], out: Path, show: Show) -> Iterator[tuple[Places, Share]]:
+    """Yield the places where the units of a study run, and what a unit gets of them.
+
+    Raises:
+        InputError: the cluster cannot be reached, or what it needs is not installed.
+    """
+    if study.cluster is not None:
+        from bayes_body.runs.study.cluster import cluster_places
+
+        with cluster_places(study, out, show) as places_and_share:
+            yield places_and_share
+        return
+    devices = gpus() if study.gpus is None or study.gpus else []
+    count = len(cores())
+    # A number that depends on the study alone: draws of a run may depend on the number of devices that computed them.
+    cpus = study.cpus or max(1, count // max(len(units), 1))
+    most = len(devices) if devices else max(1, count // cpus)
+    places = LocalPlaces(min(most, study.at_once or most), cpus)
+    try:
+        yield places, Share(cpus, 1 if devices else 0, study.retries)
+    finally:
+        places.stop()
+
+
+def _remark_on_earlier(study: StudyFile, out: Path, show: Show) -> None:
+    """Say which sessions of the folder's earlier study are not in this one."""
+    try:
+        earlier = read_study(out)
+    except InputError:
+        return
+    missing = [Path(folder).name for folder in earlier.sessions if folder not in study.sessions]
+    if missing:
+        names = ", ".join(missing[:LISTED]) + (f" and {len(missing) - LISTED} more" if len(missing) > LISTED else "")
+        show(f"note: {names}: in the earlier study of {out}, and not in this one; their runs stay, without a row in index.html.")
+
+
+def _counted(study: StudyFile, units: list[Unit]) -> str:
+    def plural(count: int, noun: str) -> str:
+        return f"{count} {noun}{'s' if count != 1 else ''}"
+
+    parts = [plural(len(study.sessions), "session")]
+    if study.variant:
+        parts.append(plural(len(study.variant), "variant"))
+    return " × ".join([*parts, plural(study.runs, "run")])
+
+
+@contextmanager
+def _progress(bar: bool, units: int) -> Iterator[Callable[[Event], None]]:
+    if not bar:
+        yield lambda event: None
+        return
+    with units_bar(units) as move:
+        yield lambda event: move(event.done + event.failed, f"{event.running} running" + (f", {event.failed} failed" if event.failed else ""))
