@@ -38,6 +38,8 @@ NAME = "bayes-body"
 MOST_JOBS = 50
 # A worker ends so long before its job, seconds, or by this share of the job's time, if that is less.
 EARLIER_S, EARLIER_SHARE = 120, 0.1
+# So often a job may be refused while no other is there: the batch system may be busy for a moment.
+MOST_REFUSALS = 4
 # Seconds between submissions of jobs that are missing, and until a user is told that no worker has come.
 AGAIN_S, SILENT_S = 15.0, 600.0
 
@@ -152,7 +154,7 @@ class BatchJobs:
         self._keys = Path(mkdtemp(prefix="keys-", dir=self._folder))
         self._accepted: set[str] = set()
         self._refusals: list[Refusal] = []
-        self._most = file.at_once or MOST_JOBS
+        self._most, self._refused = file.at_once or MOST_JOBS, 0
         self._next, self._begun, self._is_silent = 0.0, time.monotonic(), True
         try:
             self.cluster = cluster(
@@ -171,8 +173,9 @@ class BatchJobs:
         """Submit as many jobs as there are units, and cancel those that have nothing to do.
 
         Raises:
-            InputError: all jobs are refused.
+            InputError: all jobs are refused, or all that were submitted since the last worker has gone.
         """
+        self._refused = 0 if workers else self._refused
         self._take_refusals()
         desired, specified = min(units, self._most), set(map(str, self.cluster.worker_spec))
         if len(specified) > desired:
@@ -197,7 +200,8 @@ class BatchJobs:
             return
         refusals = [self._refusals.pop() for _ in range(len(self._refusals))]
         text = refusals[0].text
-        if not self._accepted:
+        self._refused += 1
+        if not self._accepted or self._refused >= MOST_REFUSALS:
             remedy = "correct the file; `bayes-body study ... --dry-run` prints the job script"
             raise input_error(self._path, f"{self._command} refuses the job: {text}", "a job that the batch system accepts", remedy)
         self.cluster.sync(self.cluster.scale_down, [refusal.name for refusal in refusals])

@@ -22,12 +22,18 @@ SBATCH = """#!{python}
 import subprocess, sys, uuid
 from pathlib import Path
 jobs = Path({folder!r})
-number = len(list(jobs.glob("*.sh"))) + 1
-if number > {most}:
+# Two jobs may be submitted at once: a number belongs to whoever makes its file.
+for number in range(1, {most} + 1):
+    script = jobs / f"{{number}}.sh"
+    try:
+        with script.open("x") as file:
+            file.write(Path(sys.argv[1]).read_text())
+        break
+    except FileExistsError:
+        pass
+else:
     print("sbatch: error: invalid partition specified: nosuch", file=sys.stderr)
     sys.exit(1)
-script = jobs / f"{{number}}.sh"
-script.write_text(Path(sys.argv[1]).read_text())
 with (jobs / f"{{number}}.log").open("w") as log:
     process = subprocess.Popen(["bash", str(script)], stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
 (jobs / f"{{number}}.pid").write_text(str(process.pid))

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.runs.study import cluster, dask_places, host
+from bayes_body.runs.study import batch_jobs, cluster, dask_places, host
 from bayes_body.runs.study.driver import Driver
 from bayes_body.runs.study.driver_file import DriverFile
 from bayes_body.runs.study.records import STOPPED, UnitFiles
@@ -199,11 +199,37 @@ def test_jobs_that_slurm_refuses(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_limit_of_slurm_is_kept(tmp_path, monkeypatch):
     _, lab = slurm(tmp_path, monkeypatch, most=1)
-    study, lines = study_of(tmp_path, ["north", "south"], cluster=lab), []
-    with started(study, tmp_path / "runs", lines) as (driver, _):
+    names = ["waits_1", "waits_2"]
+    study, lines, said = study_of(tmp_path, names, cluster=lab), [], "note: sbatch accepts no more than 1 jobs: sbatch: error"
+
+    def go_on(event):
+        # Units go on once the second job was refused.
+        if any(line.startswith(said) for line in lines):
+            for path in tmp_path.glob("waits_*/waits*"):
+                path.unlink()
+
+    with started(study, tmp_path / "runs", lines, go_on) as (driver, _):
         driver.run()
-    assert driver.done == {"north/run_1", "south/run_1"}
-    assert any(line.startswith("note: sbatch accepts no more than 1 jobs: sbatch: error") for line in lines)
+    assert driver.done == {f"{name}/run_1" for name in names}
+
+
+@pytest.mark.slow
+def test_a_batch_system_that_accepts_no_more_jobs_is_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(batch_jobs, "AGAIN_S", 0.2)
+    jobs, lab = slurm(tmp_path, monkeypatch, most=1)
+    study = study_of(tmp_path, ["waits"], cluster=lab)
+
+    def end_the_job(event):
+        if event.running:
+            for path in jobs.glob("*.pid"):
+                os.killpg(int(path.read_text()), signal.SIGKILL)
+                path.unlink()
+
+    with (
+        pytest.raises(InputError, match="sbatch refuses the job: sbatch: error: invalid partition"),
+        started(study, tmp_path / "runs", [], end_the_job) as (driver, _),
+    ):
+        driver.run()
 
 
 def test_without_a_batch_system_the_sentence_says_where_to_go(tmp_path, monkeypatch):
