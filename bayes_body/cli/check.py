@@ -9,7 +9,8 @@ import typer
 from bayes_body.base.errors import input_error
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.cli.track import LARGEST_SEED, check_range
+from bayes_body.cli.track import check_range
+from bayes_body.runs.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayes_body.workshop.calibration.check import Plan

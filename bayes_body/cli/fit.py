@@ -6,7 +6,8 @@ import typer
 
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.terminal import say
-from bayes_body.cli.track import LARGEST_SEED, check_range, free_beside, session_in
+from bayes_body.cli.track import check_range, free_beside, session_in
+from bayes_body.runs.limits import LARGEST_SEED
 
 # With fewer frames the errors of a network hardly differ between them.
 FEWEST_FRAMES = 5

@@ -10,7 +10,8 @@ from bayes_body.base.errors import input_error
 from bayes_body.cli.learn_motion import activity_hmm, walking_angles, walking_cycle
 from bayes_body.cli.learn_potentials import kinematic_potentials
 from bayes_body.cli.terminal import say
-from bayes_body.cli.track import LARGEST_SEED, check_range
+from bayes_body.cli.track import check_range
+from bayes_body.runs.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayes_body.workshop.learning.likelihood_scale import Trial

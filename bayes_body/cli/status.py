@@ -15,8 +15,8 @@ def status(
     out: Path = typer.Argument(help="Folder of a study."),
 ) -> None:
     """Print how many units are done, running, failed and waiting, and why units failed. Exit status 1 if any failed."""
-    from bayes_body.runs.study.records import FAILED, RUNNING
     from bayes_body.runs.study.status import WAITING, counts_of, status
+    from bayes_body.view.study.rows import FAILED, RUNNING
 
     _, states = status(out)
     counts = counts_of(states)

@@ -1,6 +1,5 @@
 """`bayes-body study`: track many sessions as a study's file says."""
 
-import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,8 +54,7 @@ def track_several(sessions: list[Path], out: Path | None, table: dict[str, Any],
         if not (folder / SESSION_FILE).is_file():
             problem = f"no {SESSION_FILE} in it" if folder.is_dir() else "no such folder" if not folder.exists() else "a file"
             raise input_error(folder, problem, "the folder of a session", "leave it out, or make a session with `bayes-body import`")
-    # A name of a folder may have the characters of a pattern.
-    table = {**table, "sessions": [glob.escape(str(folder)) if glob.has_magic(str(folder)) else str(folder) for folder in folders]}
+    table = {**table, "sessions": [str(folder) for folder in folders]}
     start(absolute(validate(StudyFile, table, "bayes-body track"), Path.cwd()), out, cluster, dry_run=False)
 
 

@@ -11,16 +11,13 @@ from bayes_body.cli.arguments import setting
 from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.study import CLUSTER_HELP, track_several
 from bayes_body.cli.terminal import say
+from bayes_body.runs.limits import FEWEST_KEPT, LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayes_body.model.definition import Definition
     from bayes_body.recording.session.session import Session
-    from bayes_body.runs.settings import LiveSettings
+    from bayes_body.runs.settings import LiveSettings, Settings
 
-# The largest seed of a JAX key without 64-bit arrays.
-LARGEST_SEED = 2**32 - 1
-# With fewer draws, 5 % and 95 % quantiles rest on one or two of them.
-FEWEST_KEPT = 20
 # Seconds without a new file after which a live recording has ended: by default, and at most a day.
 WAIT_S, LONGEST_WAIT_S = 10.0, 86_400.0
 LARGEST_PORT = 65_535
@@ -114,12 +111,6 @@ def track(
     from bayes_body.base.config import configure
 
     configure()
-    from bayes_body.cli.models import checked_definition
-    from bayes_body.model.definition import load_definition
-    from bayes_body.results.storage.names import RUN_FILE
-    from bayes_body.results.storage.run_file import read_run_file
-    from bayes_body.runs.live import run_live
-    from bayes_body.runs.run import run
     from bayes_body.runs.settings import AUTO, GIVEN, Settings
 
     live_settings = live_of(live, wait, port)
@@ -141,17 +132,30 @@ def track(
     asked = Settings(
         session_folder, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws, pictures, live_settings
     )
-    with own_terms(plugin):
+    _run(asked, recording, plugin)
+
+
+def _run(asked: "Settings", recording: "Session", plugins: list[Path] | None) -> None:
+    """Check the files of a recording, and track it."""
+    from bayes_body.cli.models import checked_definition
+    from bayes_body.model.definition import load_definition
+    from bayes_body.results.storage.names import RUN_FILE
+    from bayes_body.results.storage.run_file import read_run_file
+    from bayes_body.runs.live import run_live
+    from bayes_body.runs.run import run
+
+    with own_terms(plugins):
         definition = None
-        if resume and (folder / RUN_FILE).exists():
+        if asked.resume and (asked.out / RUN_FILE).exists():
             # This is checked before the model is read: without the run's plugins, some of its terms do not exist.
-            definition = load_definition(read_run_file(folder)["run"]["model"])
-        if model is not None:
-            definition = checked_definition(model)
-        if live_settings is None:
-            _check_files(recording, frames, definition)
-        (run_live if live_settings else run)(asked, show=lambda line: say(line), bar=True)
-    say(f"{folder}: posterior.nc, summary.json, {'' if no_pictures or live_settings else 'overlay.mp4, overlay/, '}frames/, run.toml")
+            definition = load_definition(read_run_file(asked.out)["run"]["model"])
+        if asked.model is not None:
+            definition = checked_definition(asked.model)
+        if asked.live is None:
+            _check_files(recording, asked.frames, definition)
+        (run_live if asked.live else run)(asked, show=lambda line: say(line), bar=True)
+    pictures = "overlay.mp4, overlay/, " if asked.pictures and not asked.live else ""
+    say(f"{asked.out}: posterior.nc, summary.json, {pictures}frames/, run.toml")
 
 
 def draws_of(keep: str | None) -> int | None:

@@ -11,11 +11,11 @@ import jax
 
 from bayes_body.base.config import core_count
 from bayes_body.kernels.batching import accelerator_memory
+from bayes_body.runs.study.host import CUDA_PLUGINS
 
 # NVIDIA's driver lists the GPUs of the machine here, a folder each.
 GPU_FOLDERS = Path("/proc/driver/nvidia/gpus")
 CPU_INFO = Path("/proc/cpuinfo")
-PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin")
 INSTALL = "pip install 'bayes-body[cuda]'"
 
 
@@ -27,7 +27,7 @@ def device_lines() -> Iterator[str]:
     cores = core_count()
     yield f"device     {cores} core{'s' if cores > 1 else ''} of {_processor()}"
     if not _is_unwanted() and (_gpu_count() or shutil.which("nvidia-smi")):
-        if any(find_spec(name) for name in PLUGINS):
+        if any(find_spec(name) for name in CUDA_PLUGINS):
             yield "note: this machine has a GPU, but JAX cannot use it: see with `nvidia-smi` whether its driver works (docs: On a GPU)."
         else:
             yield f"note: this machine has a GPU, but JAX has no plugin for it: {INSTALL}"

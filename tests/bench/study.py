@@ -1,6 +1,7 @@
 """A study of short simulated walks: its wall time against that of its units alone, and the same study killed again and again.
 
-`python tests/bench/study.py [--sessions 20] [--runs 2] [--kills 10] [--work FOLDER]`. Keypoints with errors of real networks; the truth is known.
+`python tests/bench/study.py [--sessions 20] [--runs 2] [--kills 10] [--work FOLDER]`. The keypoints have outliers and
+gaps, as those of a network do; the truth is known.
 """
 
 import argparse

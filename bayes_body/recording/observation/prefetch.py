@@ -4,7 +4,6 @@ OpenCV, PyAV and NumPy do most of their work without Python's lock, so threads a
 onwards. What is made of an item depends on it alone, so the number of threads makes no difference to the results.
 """
 
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,6 +11,7 @@ from contextlib import contextmanager, nullcontext
 
 import cv2
 
+from bayes_body.base.config import core_count
 from bayes_body.base.shared_setting import SharedSetting
 
 # More threads would wait for Python's lock.
@@ -22,8 +22,7 @@ ONE_OPENCV_THREAD = SharedSetting(cv2.getNumThreads, cv2.setNumThreads, 1)
 
 def threads_for_work() -> int:
     """The number of threads that work: as many as the cores that this process may use, at most 8."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, MOST_THREADS)
+    return min(core_count(), MOST_THREADS)
 
 
 def prefetch[Item, Result](items: Iterable[Item], function: Callable[[Item], Result], threads: int | None = None) -> Generator[Result, None, None]:

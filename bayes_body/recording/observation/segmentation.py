@@ -55,7 +55,7 @@ STRIP = 32
 
 
 def foreground_levels(background: Background, image: Colours, options: Segmentation) -> UInt8[np.ndarray, "row column"] | None:
-    """The foreground's probability times 255 in an image of the background's size (`background.shrink`).
+    """The foreground's probability times 255 in an image of the background's size (`background.py`: `shrink`).
 
     None if the image's exposure cannot be matched to the background's.
     """

@@ -5,16 +5,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from typing import NamedTuple, TextIO
 
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.atomic import make_folder
 from bayes_body.runs.study.host import peak_bytes
-from bayes_body.runs.study.records import DONE, FAILED, RUNNING, STOPPED, Record, last_complaint
+from bayes_body.runs.study.records import STOPPED, Record, last_complaint
 from bayes_body.runs.study.unit_process import TAKEN, Job, environment
+from bayes_body.view.study.rows import DONE, FAILED, RUNNING
 
 PROGRAM = ("-m", "bayes_body.cli.unit")
 # The driver asks for another try.
@@ -130,11 +129,3 @@ def _signal_name(number: int) -> str:
         return f"signal {number} ({signal.Signals(number).name})"
     except ValueError:
         return f"signal {number}"
-
-
-type Attempt = Callable[[Job], Outcome]
-
-
-def with_sentence(outcome: Outcome, sentence: str) -> Outcome:
-    """Return the outcome as a failure with this sentence."""
-    return outcome._replace(state=FAILED, sentence=sentence, record=outcome.record and replace(outcome.record, state=FAILED, sentence=sentence))

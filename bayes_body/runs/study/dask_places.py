@@ -9,49 +9,22 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from distributed import Client, Future
 
-from bayes_body.base.errors import InputError, input_error
 from bayes_body.runs.study.attempt import DIED, ELSEWHERE, GRACE_S, PROGRAM, Outcome
+from bayes_body.runs.study.dask_workers import DaskWorkers
 from bayes_body.runs.study.driver import Share, Show
 from bayes_body.runs.study.driver_file import DriverFile
 from bayes_body.runs.study.places import RESERVE
-from bayes_body.runs.study.records import FAILED, STOPPED
+from bayes_body.runs.study.records import STOPPED
 from bayes_body.runs.study.unit_process import Job
-from bayes_body.runs.study.worker import Inspection, inspect_worker, run_job, stop_jobs
+from bayes_body.runs.study.worker import Inspection, run_job, stop_jobs
+from bayes_body.view.study.rows import FAILED
 
-# Seconds between looks at the workers, without an answer of the scheduler until it counts as gone, and for an answer of a worker.
-LOOK_S, LOST_S, ANSWER_S = 1.0, 30.0, 20.0
-# A network disk shows a new file some seconds later on other machines (30 by default of NFS). A worker that cannot compute is asked again later.
-SHOWN_S, SOON_S, LATER_S = 40.0, 2.0, 60.0
-
-
-class Worker(NamedTuple):
-    """A worker that can compute units.
-
-    Attributes:
-        inspection: what it says about itself.
-        threads: its number of threads.
-    """
-
-    inspection: Inspection
-    threads: int
-
-
-class Stranger(NamedTuple):
-    """A worker that has not said yet that it can compute.
-
-    Attributes:
-        since: when it came.
-        due: when it is asked next.
-        sentence: why it cannot; empty as long as that is not certain.
-    """
-
-    since: float
-    due: float
-    sentence: str = ""
+# Seconds for an answer about a task.
+ANSWER_S = 20.0
 
 
 class Running(NamedTuple):
@@ -123,15 +96,12 @@ class DaskPlaces:
         program: tuple[str, ...] = PROGRAM,
     ):
         self._client, self._address, self._deployment, self._file = client, address, deployment, file
-        self._share, self._at_once, self._show, self._program = share, at_once, show, program
-        self._workers: dict[str, Worker] = {}
-        self._strangers: dict[str, Stranger] = {}
-        self._noted: set[str] = set()
+        self._share, self._at_once, self._program = share, at_once, program
+        self._workers = DaskWorkers(client, address, file, share.gpus, show)
         self._running: dict[str, Running] = {}
         self._ended: queue.SimpleQueue[Callable[[], Outcome | None]] = queue.SimpleQueue()
         self._unit_bytes, self._submitted = unit_bytes, 0
-        self._next_look, self._answered = 0.0, time.monotonic()
-        self._has_computed = self._is_lost = self._is_stopped = False
+        self._is_stopped = False
 
     def inspect(self) -> list[Inspection]:
         """Look at the workers that are there now, and return what those say that can compute units.
@@ -139,17 +109,13 @@ class DaskPlaces:
         Raises:
             InputError: there are some, and none of them can; or the scheduler has gone.
         """
-        self._next_look = 0.0
-        self._look()
-        while not self._workers and any(not stranger.sentence for stranger in self._strangers.values()):
-            time.sleep(SOON_S / 4)
-            self._look()
-        self._check_strangers()
-        return [worker.inspection for worker in self._workers.values()]
+        self._workers.wait()
+        return [worker.inspection for worker in self._workers.able.values()]
 
     def assign(self, share: Share) -> None:
         """Change what a unit gets."""
         self._share = share
+        self._workers.require_gpus(share.gpus)
 
     def expect(self, units: int) -> None:
         """Ask for as many workers as there are units that are not done.
@@ -157,11 +123,12 @@ class DaskPlaces:
         Raises:
             InputError: no worker can be had, or those that have come cannot compute units; or the scheduler has gone.
         """
-        self._look()
-        self._check_strangers()
-        busy = {self._workers[unit.address].inspection.name for unit in self._running.values() if unit.address in self._workers}
+        self._workers.look()
+        self._workers.check()
+        able = self._workers.able
+        busy = {able[unit.address].inspection.name for unit in self._running.values() if unit.address in able}
         most = units if self._at_once is None else min(units, self._at_once)
-        self._deployment.expect(most, {worker.inspection.name for worker in self._workers.values()}, busy)
+        self._deployment.expect(most, self._workers.names, busy)
 
     def capacity(self) -> int:
         """Return how many units may run at once now.
@@ -169,7 +136,7 @@ class DaskPlaces:
         Raises:
             InputError: the scheduler has gone.
         """
-        self._look()
+        self._workers.look()
         count = sum(self._slots().values())
         return count if self._at_once is None else min(count, self._at_once)
 
@@ -212,7 +179,7 @@ class DaskPlaces:
 
     def describe(self) -> str:
         """Return a line such as `12 units at once on 12 workers of tcp://head:8786, with one core each`."""
-        count, workers = self.capacity(), len(self._workers)
+        count, workers = self.capacity(), len(self._workers.able)
         cores = "one core each" if self._share.cpus == 1 else f"{self._share.cpus} cores each"
         gpu = " and a GPU" if self._share.gpus else ""
         return (
@@ -233,11 +200,11 @@ class DaskPlaces:
             self._file.close()
 
     def _stop_units(self) -> None:
-        if not self._running or self._is_lost:
+        if not self._running or self._workers.is_lost:
             return
         # A scheduler or a worker that has gone ends its units by itself: their standard input is closed.
         with suppress(Exception):
-            addresses = [address for address in {unit.address for unit in self._running.values()} if address in self._workers]
+            addresses = [address for address in {unit.address for unit in self._running.values()} if address in self._workers.able]
             self._client.run(stop_jobs, self._file.token, workers=addresses, on_error="ignore", callback_timeout=10)
             deadline = time.monotonic() + GRACE_S + 5
             while time.monotonic() < deadline and not all(unit.future.done() for unit in self._running.values()):
@@ -246,9 +213,9 @@ class DaskPlaces:
 
     def _slots(self) -> dict[str, int]:
         """Return the number of units of each worker. A thread counts as a core; a worker with fewer cores than a unit wants gets one."""
-        on_host = Counter(worker.inspection.host for worker in self._workers.values())
+        on_host = Counter(worker.inspection.host for worker in self._workers.able.values())
         slots = {}
-        for address, (inspection, threads) in self._workers.items():
+        for address, (inspection, threads) in self._workers.able.items():
             count = max(1, threads // self._share.cpus)
             if self._share.gpus:
                 count = min(count, inspection.gpus)
@@ -279,8 +246,8 @@ class DaskPlaces:
 
     def _abandon(self) -> list[Outcome]:
         """Give up the units whose worker is not there any longer."""
-        self._look()
-        lost = [unit for unit in self._running.values() if unit.address not in self._workers and not unit.future.done()]
+        self._workers.look()
+        lost = [unit for unit in self._running.values() if unit.address not in self._workers.able and not unit.future.done()]
         for unit in lost:
             del self._running[unit.job.key]
             with suppress(Exception):
@@ -289,63 +256,3 @@ class DaskPlaces:
 
     def _death(self, unit: Running) -> str:
         return f"its worker {unit.address} has gone, because it was killed or its time was over."
-
-    def _look(self) -> None:
-        """Learn which workers there are.
-
-        Raises:
-            InputError: the scheduler has gone.
-        """
-        if time.monotonic() < self._next_look:
-            return
-        try:
-            threads: Any = self._client.nthreads(callback_timeout=LOST_S / 3)
-        except Exception:
-            if time.monotonic() - self._answered > LOST_S:
-                self._is_lost = True
-                remedy = "start the cluster again and repeat the command, which goes on after the last frames"
-                raise input_error(self._address, "its scheduler has gone", "the scheduler of a Dask cluster", remedy) from None
-            self._next_look = time.monotonic() + LOOK_S
-            return
-        self._answered = time.monotonic()
-        time_s = self._answered
-        self._workers = {address: worker for address, worker in self._workers.items() if address in threads}
-        self._strangers = {address: self._strangers.get(address, Stranger(time_s, time_s)) for address in threads if address not in self._workers}
-        due = [address for address, stranger in self._strangers.items() if stranger.due <= time_s]
-        if due:
-            self._inspect(due, threads)
-        self._next_look = time.monotonic() + LOOK_S
-
-    def _inspect(self, addresses: list[str], threads: dict[str, int]) -> None:
-        try:
-            replies: Any = self._client.run(inspect_worker, str(self._file.path), workers=addresses, on_error="return", callback_timeout=ANSWER_S)
-        except Exception as error:
-            # One of them has gone meanwhile, or does not answer.
-            replies = dict.fromkeys(addresses, error)
-        for address in addresses:
-            reply, stranger = replies.get(address, TimeoutError("no answer")), self._strangers[address]
-            sentence = self._file.fault(address, reply, self._share.gpus)
-            if sentence is None:
-                self._workers[address], self._has_computed = Worker(reply, threads[address]), True
-                del self._strangers[address]
-                self._note(self._file.remark(reply))
-            elif self._file.may_change(reply) and time.monotonic() - stranger.since < SHOWN_S:
-                self._strangers[address] = stranger._replace(due=time.monotonic() + SOON_S)
-            else:
-                self._strangers[address] = stranger._replace(due=time.monotonic() + LATER_S, sentence=sentence)
-                self._note(sentence)
-
-    def _check_strangers(self) -> None:
-        """Refuse to wait for workers if all that have ever come cannot compute units.
-
-        Raises:
-            InputError: so it is.
-        """
-        sentences = [stranger.sentence for stranger in self._strangers.values()]
-        if sentences and all(sentences) and not self._has_computed:
-            raise InputError(min(sentences))
-
-    def _note(self, sentence: str) -> None:
-        if sentence and sentence not in self._noted:
-            self._noted.add(sentence)
-            self._show(f"note: {sentence}")

@@ -12,10 +12,11 @@ from typing import NamedTuple
 from bayes_body.base.errors import input_error
 from bayes_body.runs.study.attempt import DIED, ELSEWHERE, Outcome
 from bayes_body.runs.study.places import Places
-from bayes_body.runs.study.records import DONE, FAILED, STOPPED, UnitFiles
+from bayes_body.runs.study.records import STOPPED, UnitFiles
 from bayes_body.runs.study.unit_process import Job
 from bayes_body.runs.study.unit_queue import UnitQueue
 from bayes_body.runs.study.units import Unit, is_finished, stored_frames
+from bayes_body.view.study.rows import DONE, FAILED
 
 # Seconds between looks at the frames of a unit that compiles, and at a unit that another process computes.
 LOOK_S, AGAIN_S = 0.5, 5.0

@@ -8,12 +8,12 @@ from pathlib import Path
 from bayes_body.base.errors import InputError
 from bayes_body.results.storage.names import SUMMARY_FILE
 from bayes_body.runs.study.driver import Event
-from bayes_body.runs.study.records import DONE, FAILED, RUNNING, UnitFiles
+from bayes_body.runs.study.records import UnitFiles
 from bayes_body.runs.study.status import WAITING, UnitState, blocked, counts_of, state_of
 from bayes_body.runs.study.study_file import StudyFile
 from bayes_body.runs.study.units import Unit
 from bayes_body.view.study.page import write_index
-from bayes_body.view.study.rows import StudyRow, read_summary, row_of, write_csv
+from bayes_body.view.study.rows import DONE, FAILED, RUNNING, StudyRow, read_summary, row_of, write_csv
 
 CSV_FILE = "study.csv"
 # The pages are written at most so often, and take at most this share of the driver's time.

@@ -3,6 +3,7 @@
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from bayes_body.runs.study.attempt import Attempts, Outcome
@@ -85,12 +86,10 @@ class LocalPlaces:
     def ended(self, timeout_s: float) -> list[Outcome]:
         """Return the units that have ended since the last call; wait for one, at most `timeout_s` seconds."""
         outcomes: list[Outcome] = []
-        try:
+        with suppress(queue.Empty):
             outcomes.append(self._outcomes.get(timeout=timeout_s))
             while True:
                 outcomes.append(self._outcomes.get_nowait())
-        except queue.Empty:
-            pass
         for outcome in outcomes:
             if outcome.record is not None:
                 self._unit_bytes = max(self._unit_bytes, outcome.record.peak_bytes)

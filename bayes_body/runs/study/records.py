@@ -16,7 +16,7 @@ from filelock import FileLock, Timeout
 from bayes_body.base.files.atomic import make_folder, refused
 
 FOLDER = ".study"
-RUNNING, DONE, FAILED, STOPPED = "running", "done", "failed", "stopped"
+STOPPED = "stopped"
 # The end of a unit's output, in which its last sentence is looked for.
 LAST_BYTES = 20_000
 

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.toml.read import read_toml, validate
-from bayes_body.runs.study.records import DONE, FAILED, RUNNING, UnitFiles
+from bayes_body.runs.study.records import UnitFiles
 from bayes_body.runs.study.study_file import NAME, StudyFile
 from bayes_body.runs.study.units import Unit, is_finished, stored_frames, units_of
+from bayes_body.view.study.rows import DONE, FAILED, RUNNING, WAITING
 
-WAITING = "waiting"
+# In the order in which they are counted.
 STATES = (DONE, RUNNING, FAILED, WAITING)
 
 
@@ -25,7 +26,6 @@ class UnitState(NamedTuple):
         sentence: why it failed, or where it runs, or why it waits; may be empty.
         frames: number of stored frames; None unless it runs or was stopped.
         seconds: of work so far.
-        peak_bytes: largest memory of a process that computed it; 0 if it is not known.
         cached: programs that came from the cache, and those that were compiled.
     """
 
@@ -34,7 +34,6 @@ class UnitState(NamedTuple):
     sentence: str = ""
     frames: int | None = None
     seconds: float = 0.0
-    peak_bytes: int = 0
     cached: tuple[int, int] = (0, 0)
 
 
@@ -66,7 +65,7 @@ def state_of(unit: Unit, out: Path) -> UnitState:
     # A failure is one even if the session has changed since, or is gone.
     if record is None or (record.work != unit.work and record.state != FAILED):
         return UnitState(unit, WAITING)
-    base = UnitState(unit, record.state, "", None, record.seconds, record.peak_bytes, (record.cache_hits, record.cache_misses))
+    base = UnitState(unit, record.state, "", None, record.seconds, (record.cache_hits, record.cache_misses))
     if record.state == DONE:
         return base if is_finished(unit.folder) else base._replace(state=WAITING, sentence="its results were removed; it is computed again")
     if record.state == FAILED:

@@ -12,12 +12,9 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.atomic import make_folder, write_text
 from bayes_body.base.toml.read import read_toml, validate
 from bayes_body.base.toml.schema import Count, Name, Schema
+from bayes_body.runs.limits import FEWEST_KEPT, LARGEST_SEED
 
 NAME = "study.toml"
-# With fewer draws, 5 % and 95 % quantiles rest on one or two of them.
-FEWEST_DRAWS = 20
-# The largest seed of a JAX key without 64-bit arrays.
-LARGEST_SEED = 2**32 - 1
 
 type Value = bool | int | float | str
 # The forms in which `bayes-body export` writes a motion.
@@ -53,7 +50,7 @@ class TrackTable(Schema):
     """Where the first pose comes from"""
     recover: Annotated[bool, Field(strict=True)] | None = None
     """Start anew where the person is found again after a loss"""
-    keep_draws: Annotated[int, Field(strict=True, ge=FEWEST_DRAWS)] | None = None
+    keep_draws: Annotated[int, Field(strict=True, ge=FEWEST_KEPT)] | None = None
     """Draws of a frame and run that are stored; all particles by default"""
     pictures: Annotated[bool, Field(strict=True)] | None = None
     """Whether overlay.mp4 and stills are drawn; they are by default"""

@@ -6,6 +6,7 @@ Cores, threads and the GPU are chosen before JAX is loaded.
 import json
 import os
 import platform
+import shlex
 import sys
 import threading
 import time
@@ -19,8 +20,9 @@ from filelock import Timeout
 from bayes_body.base import program_cache
 from bayes_body.base.errors import InputError
 from bayes_body.runs.study.host import HostShare, cores, gpu_identities, gpus, peak_bytes
-from bayes_body.runs.study.records import DONE, FAILED, RUNNING, STOPPED, Record, UnitFiles, last_complaint
+from bayes_body.runs.study.records import STOPPED, Record, UnitFiles, last_complaint
 from bayes_body.runs.study.units import stored_frames
+from bayes_body.view.study.rows import DONE, FAILED, RUNNING
 from bayes_body.view.study.thumbnail import write_thumbnail
 
 # Exit statuses of the command line: interrupted and terminated.
@@ -133,51 +135,61 @@ def _end_with_parent(job: Job) -> None:
 
 def _compute(job: Job, command_line: Callable[[Sequence[str]], None]) -> int:
     """Take cores and a GPU, run the commands, and write the unit's state. Return the exit status."""
-    files, previous = job.files, job.files.read()
-    if previous is not None and previous.work != job.work:
-        previous = None
-    if previous is not None and previous.state == DONE:
-        return 0
-    frames = stored_frames(Path(job.folder))
-    deaths = previous.deaths + 1 if previous is not None and previous.state == RUNNING and frames <= previous.frames else 0
-    seconds = 0.0 if previous is None else previous.seconds
-    record = Record(RUNNING, job.digest, job.work, platform.node(), os.getpid(), time.time(), seconds, frames, deaths)
-    if deaths >= job.retries:
-        why = f"{deaths} processes died one after the other without a new frame, often because memory is short; what they printed is in {files.log}."
-        files.write(replace(record, state=FAILED, sentence=why, deaths=0))
-        return 1
-    files.write(record)
+    record = _next_record(job)
+    job.files.write(record)
+    if record.state != RUNNING:
+        return 0 if record.state == DONE else 1
     # It is held until the end of the process.
     share = HostShare()
     _take_cores(job, share)
     if job.gpus and not _take_gpu(share):
-        files.write(replace(record, state=STOPPED))
+        job.files.write(replace(record, state=STOPPED))
         return TAKEN
-    status, sentence, begin = 0, "", files.log.stat().st_size if files.log.exists() else 0
+    status, sentence = _run_commands(job, command_line)
+    state = STOPPED if status in STOPPED_STATUSES else FAILED if status else DONE
+    record = replace(record, state=state, sentence=sentence, seconds=record.seconds + time.time() - record.begun)
+    if state != STOPPED:
+        # The picture is for the study's page alone.
+        with suppress(InputError):
+            write_thumbnail(Path(job.folder), job.files.picture)
+        hits, misses = program_cache.LOOKUPS["hits"], program_cache.LOOKUPS["misses"]
+        record = replace(record, deaths=0, peak_bytes=peak_bytes(os.getpid()), cache_hits=hits, cache_misses=misses)
+    job.files.write(record)
+    return status
+
+
+def _next_record(job: Job) -> Record:
+    """Return the state with which a unit begins: running; or done, if it is; or failed, if too many of its processes died without a new frame."""
+    previous, frames = job.files.read(), stored_frames(Path(job.folder))
+    if previous is not None and previous.work != job.work:
+        previous = None
+    if previous is not None and previous.state == DONE:
+        return previous
+    deaths = previous.deaths + 1 if previous is not None and previous.state == RUNNING and frames <= previous.frames else 0
+    seconds = 0.0 if previous is None else previous.seconds
+    record = Record(RUNNING, job.digest, job.work, platform.node(), os.getpid(), time.time(), seconds, frames, deaths)
+    if deaths < job.retries:
+        return record
+    reason = "often because memory is short: a smaller `at_once` helps then"
+    sentence = f"{deaths} processes died one after the other without a new frame, {reason}; what they printed is in {job.files.log}."
+    return replace(record, state=FAILED, sentence=sentence, deaths=0)
+
+
+def _run_commands(job: Job, command_line: Callable[[Sequence[str]], None]) -> tuple[int, str]:
+    """Run the commands of a unit. Return the first status that is not 0, and its sentence."""
+    log, status, sentence = job.files.log, 0, ""
+    begin = log.stat().st_size if log.exists() else 0
     for command in job.commands:
-        print(f"\n{time.strftime('%Y-%m-%d %H:%M:%S')} {record.host}: bayes-body {' '.join(command)}", flush=True)
+        print(f"\n{time.strftime('%Y-%m-%d %H:%M:%S')} {platform.node()}: bayes-body {shlex.join(command)}", flush=True)
         code = _run(command_line, command)
         if code in STOPPED_STATUSES:
-            files.write(replace(record, state=STOPPED, seconds=record.seconds + time.time() - record.begun))
-            return code
+            return code, ""
         if code and not status:
-            status, sentence = code, last_complaint(files.log, begin) or f"exit status {code}; what it printed is in {files.log}."
+            status, sentence = code, last_complaint(log, begin) or f"exit status {code}; what it printed is in {log}."
+        # A run that is not finished has no smoothed one.
         if code and command[0] in RESUMED:
             break
-    write_thumbnail(Path(job.folder), files.picture)
-    files.write(
-        replace(
-            record,
-            state=FAILED if status else DONE,
-            seconds=record.seconds + time.time() - record.begun,
-            deaths=0,
-            sentence=sentence,
-            peak_bytes=peak_bytes(os.getpid()),
-            cache_hits=program_cache.LOOKUPS["hits"],
-            cache_misses=program_cache.LOOKUPS["misses"],
-        )
-    )
-    return status
+    return status, sentence
 
 
 def _run(command_line: Callable[[Sequence[str]], None], command: tuple[str, ...]) -> int:

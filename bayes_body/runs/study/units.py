@@ -76,7 +76,7 @@ class Recording(NamedTuple):
     frames: int | None
 
 
-def session_folders(patterns: list[str], note: "list[str] | None" = None) -> list[Path]:
+def session_folders(patterns: list[str], note: list[str] | None = None) -> list[Path]:
     """Return the folders of sessions that patterns name.
 
     Args:
@@ -88,7 +88,8 @@ def session_folders(patterns: list[str], note: "list[str] | None" = None) -> lis
     """
     folders: list[Path] = []
     for pattern in patterns:
-        if not has_magic(pattern):
+        # The name of a folder may have the characters of a pattern.
+        if not has_magic(pattern) or (Path(pattern) / SESSION_FILE).is_file():
             folders.append(Path(pattern))
             continue
         # Path.glob does not take absolute patterns.

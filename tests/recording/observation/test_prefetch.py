@@ -103,5 +103,5 @@ def test_opencv_keeps_its_threads_out_of_the_way():
 
 def test_as_many_threads_as_the_process_has_cores(monkeypatch):
     for cores, expected in ((1, 1), (2, 2), (64, module.MOST_THREADS)):
-        monkeypatch.setattr(module.os, "sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False)
+        monkeypatch.setattr(module, "core_count", lambda cores=cores: cores)
         assert threads_for_work() == expected

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from bayes_body.base.errors import InputError
-from bayes_body.runs.study import batch_jobs, cluster, dask_places, host
+from bayes_body.runs.study import batch_jobs, cluster, dask_workers, host
 from bayes_body.runs.study.driver import Driver
 from bayes_body.runs.study.driver_file import DriverFile
 from bayes_body.runs.study.records import STOPPED, UnitFiles
@@ -122,7 +122,7 @@ def test_workers_that_are_killed_and_restarted_in_the_middle(tmp_path):
 
 @pytest.mark.slow
 def test_a_scheduler_that_goes_away_is_a_sentence_and_its_units_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_places, "LOST_S", 3)
+    monkeypatch.setattr(dask_workers, "LOST_S", 3)
     study, out = None, tmp_path / "runs"
     with dask_processes(tmp_path / "dask") as processes:
         processes.worker()

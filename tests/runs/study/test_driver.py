@@ -13,10 +13,11 @@ from bayes_body.runs.study.attempt import Attempts
 from bayes_body.runs.study.driver import Driver, Share, check_digests
 from bayes_body.runs.study.overview import Overview
 from bayes_body.runs.study.places import LocalPlaces
-from bayes_body.runs.study.records import FAILED, UnitFiles
+from bayes_body.runs.study.records import UnitFiles
 from bayes_body.runs.study.status import counts_of, states_of
 from bayes_body.runs.study.study_file import StudyFile
 from bayes_body.runs.study.units import units_of
+from bayes_body.view.study.rows import FAILED
 
 STUB = Path(__file__).with_name("stub_unit.py")
 SESSION = 'frames = 3\n[[camera]]\nname = "C1"\nsize_px = [640, 480]\n'
