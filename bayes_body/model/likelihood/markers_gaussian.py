@@ -40,8 +40,9 @@ from bayes_body.density.plate import Plate, plate_factor
 from bayes_body.model.body.placed_body import placed_markers
 from bayes_body.model.body.placement import LENGTHS, PARTS, ByParts
 from bayes_body.model.body.solids import Body
+from bayes_body.model.likelihood.candidates import candidate_log_densities
 from bayes_body.model.likelihood.detections import Detections
-from bayes_body.recording.evidence.markers import KEYPOINTS, MarkerEvidence, evidence_names
+from bayes_body.recording.evidence.markers import KEYPOINTS, CandidateEvidence, MarkerEvidence, evidence_names
 
 Rare = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
@@ -141,10 +142,20 @@ def _expected(potential: MarkersGaussian, values: Variables) -> Float[Array, "ca
 
 
 def _log_densities(
-    potential: MarkersGaussian, expected: Float[Array, "camera present entry"], evidence: MarkerEvidence
+    potential: MarkersGaussian, expected: Float[Array, "camera present entry"], evidence: MarkerEvidence | CandidateEvidence
 ) -> Float[Array, "camera present"]:
-    pixels, confidence = (jnp.asarray(array)[:, list(potential.places)] for array in evidence)
-    return potential.detections.log_densities(expected, pixels, confidence)
+    return _at_points(potential.detections, expected, evidence, list(potential.places))
+
+
+def _at_points(
+    detections: Detections, expected: Float[Array, "camera point entry"], evidence: MarkerEvidence | CandidateEvidence, places: Any
+) -> Float[Array, "camera point"]:
+    """Return the log-densities of the markers at `places` in the evidence."""
+    if isinstance(evidence, CandidateEvidence):
+        pixels, confidence = (jnp.asarray(array)[:, :, places] for array in (evidence.pixels, evidence.confidence))
+        return candidate_log_densities(detections, expected, CandidateEvidence(pixels, confidence, evidence.shares))
+    pixels, confidence = (jnp.asarray(array)[:, places] for array in evidence)
+    return detections.log_densities(expected, pixels, confidence)
 
 
 class PartMarkers(NamedTuple):
@@ -167,13 +178,18 @@ def _stretched(markers: PartMarkers, log_length: Scalar) -> PartMarkers:
     return markers._replace(offsets=jnp.exp(log_length) * markers.offsets)
 
 
-def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence) -> Scalar:
-    """The log-potential of one part, placed at `frame`."""
+def _of_part(detections: Detections, markers: PartMarkers, frame: Float[Array, "7"], *, data: MarkerEvidence | CandidateEvidence) -> Scalar:
+    """The log-potential of one part, placed at `frame`. Where there are several people, each part has a sum over the candidates for itself."""
     if detections.factors is not None:
         detections = replace(detections, factors=detections.factors[markers.places])
     points = jnp.asarray(rigid.apply(frame[None], markers.offsets))
+    is_counted = markers.counted
+    if isinstance(data, CandidateEvidence):
+        pixels, confidence = (jnp.asarray(array)[:, :, markers.places] for array in (data.pixels, data.confidence))
+        candidates = CandidateEvidence(pixels, jnp.where(is_counted, confidence, -jnp.inf), data.shares)
+        return _nan_with(frame, jnp.sum(candidate_log_densities(detections, detections.expected(points), candidates)))
     pixels, confidence = (jnp.asarray(array)[:, markers.places] for array in data)
-    return _nan_with(frame, detections.log_density(points, pixels, jnp.where(markers.counted, confidence, -jnp.inf)))
+    return _nan_with(frame, detections.log_density(points, pixels, jnp.where(is_counted, confidence, -jnp.inf)))
 
 
 def _nan_with(configuration: Configuration, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

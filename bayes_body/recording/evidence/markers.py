@@ -31,6 +31,21 @@ class MarkerEvidence(NamedTuple):
     confidence: Float[Array | np.ndarray, "camera marker"]
 
 
+class CandidateEvidence(NamedTuple):
+    """What each camera sees of the markers of a body, where it sees several people: alternatives, of which at most one is the body's.
+
+    Attributes:
+        pixels: column, row; 0, 0 where a marker is not seen.
+        confidence: between 0 and 1; 0 where a marker is not seen.
+        shares: the probability that a candidate is the body's, before the body's pose is looked at. What is missing to 1 in a camera is the
+            probability that none is.
+    """
+
+    pixels: Float[Array | np.ndarray, "camera candidate marker 2"]
+    confidence: Float[Array | np.ndarray, "camera candidate marker"]
+    shares: Float[Array | np.ndarray, "camera candidate"]
+
+
 def evidence_names(markers: Iterable[str]) -> tuple[str, ...]:
     """Return the names in the order of the evidence of a body with these markers: `MARKERS`, and `KEYPOINTS` if it has markers on its feet."""
     return MARKERS if set(FEET).isdisjoint(markers) else KEYPOINTS

@@ -15,7 +15,7 @@ from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.readers.images import NotSeenError, read_mask
-from bayes_body.recording.readers.keypoints.series import read_series
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, read_series
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
 
@@ -31,7 +31,9 @@ class Frame(NamedTuple):
     frame; all of it is None if no camera has any. `sizes_px` are (width, height) of every camera's images, including those that did not see the
     frame; () means the sizes of `images`. `cameras` have their extrinsics in this frame; () if they are not known. `before` is the frame before,
     if it was asked for and there is one; it knows no frame before itself. `have_image` says which cameras see the frame if that is known without
-    reading the images.
+    reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
+    and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
+    `others` are the keypoints (person, keypoint, 3) of other people in each camera. Both are None as a whole where no camera sees several people.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -43,6 +45,8 @@ class Frame(NamedTuple):
     cameras: tuple[CameraSpec, ...] = ()
     before: "Frame | None" = None
     have_image: tuple[bool, ...] | None = None
+    candidates: tuple[tuple[tuple[Keypoints, float], ...], ...] | None = None
+    others: tuple[NDArray[np.floating], ...] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -95,13 +99,14 @@ def read_frame(
     seen_pictures = [picture if has_image else None for picture, has_image in zip(pictures, have_image, strict=True)]
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
-    keypoints = _keypoints(session, index, have_image)
+    keypoints, cameras = _keypoints(session, index, have_image), cameras_at(session, index)
+    candidates, others = _candidates(session, index, have_image), _others(session, index, have_image)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
+        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, others)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras_at(session, index), previous_frame, have_image)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, others)
 
 
 def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
@@ -122,11 +127,40 @@ def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
 
 
 def _keypoints(session: Session, index: int, have_image: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
-    paths = [session.keypoints_path(view) for view in session.views]
-    if not any(paths):
+    if not any(view.keypoints for view in session.views):
         return None
-    numbers = [session.number(view, index) for view in session.views]
-    return tuple(read_series(path).frame(k) if path and has_image else None for path, k, has_image in zip(paths, numbers, have_image, strict=True))
+    return tuple(None if file is None or number is None else file.frame(number) for file, number in _series(session, index, have_image))
+
+
+def _series(session: Session, index: int, have_image: Sequence[bool]) -> list[tuple[KeypointSeries | None, int | None]]:
+    """The file of each camera's keypoints, and the frame's number in it; None for a camera that did not see the frame."""
+    paths = [session.keypoints_path(view) for view in session.views]
+    numbers = [session.number(view, index) if has_image else None for view, has_image in zip(session.views, have_image, strict=True)]
+    return [(None if path is None else read_series(path), number) for path, number in zip(paths, numbers, strict=True)]
+
+
+def _candidates(session: Session, index: int, have_image: Sequence[bool]) -> tuple[tuple[tuple[Keypoints, float], ...], ...] | None:
+    series = _series(session, index, have_image)
+    most = max((file.candidates.shares.shape[1] for file, _ in series if file is not None and file.candidates is not None), default=0)
+    if not most:
+        return None
+    listed = [[] if file is None or number is None else _of_camera(file, number) for file, number in series]
+    return tuple(tuple(candidates + [({}, 0.0)] * (most - len(candidates))) for candidates in listed)
+
+
+def _of_camera(file: KeypointSeries, number: int) -> list[tuple[Keypoints, float]]:
+    """The candidates of a camera. A camera without several people has its only detection, which is the subject's."""
+    if file.candidates is None:
+        points = file.frame(number)
+        return [(points, 1.0)] if points else []
+    return file.candidates_in(number)
+
+
+def _others(session: Session, index: int, have_image: Sequence[bool]) -> tuple[NDArray[np.floating], ...] | None:
+    series = _series(session, index, have_image)
+    if all(file is None or file.others is None for file, _ in series):
+        return None
+    return tuple(np.zeros((0, 0, 3)) if file is None or number is None else file.others_in(number) for file, number in series)
 
 
 class _Picture:

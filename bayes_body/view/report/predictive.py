@@ -257,6 +257,7 @@ def moment(run: "SavedRun", index: int) -> Moment:
 
 def seen_keypoints(moment: Moment, likelihood: KeypointLikelihood) -> Float[np.ndarray, "camera marker 3"]:
     """Return column, row and confidence of the keypoints that a likelihood reads."""
-    evidence = moment.model.observers[likelihood.name](moment.frame)
+    # Of several candidates, the likeliest one.
+    evidence = moment.model.observers[likelihood.name](moment.frame._replace(candidates=None))
     keypoints = np.concatenate([evidence.pixels, evidence.confidence[..., None]], axis=-1)
     return keypoints[:, list(likelihood.markers.places)].astype(float)

@@ -4,7 +4,8 @@ The keypoints are in an .npz beside a session, with
 
 - `keypoints` (frame, keypoint, 3): column, row (pixels; NaN where not found) and confidence, between 0 and 1,
 - `names` of the keypoints: those of the layouts (readers/keypoints.py), of the fifteen markers (evidence/markers.py), or others, which are ignored,
-- `first`, the number of the first row's frame in the camera's numbering; 0 if missing.
+- `first`, the number of the first row's frame in the camera's numbering; 0 if missing,
+- where a camera sees several people: which detections may be the subject's, and which are other people's (candidates.py).
 
 `choose_person` finds the subject in the first frame. From then on, the subject in a camera is the person nearest to the projection of the previous
 frame's body (with one camera: to the subject's place in the previous frame), if the distance is within a fifth of the person's size. Cameras that do
@@ -27,11 +28,12 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.progress import Watch, unwatched
+from bayes_body.recording.readers.keypoints.candidates import KEYS, Candidates, OtherPeople, read_candidates, read_others
 from bayes_body.recording.readers.keypoints.lone_person import lone_bodies
 from bayes_body.recording.readers.keypoints.openpose import FARTHEST_PX, MOST_KEYPOINTS
 from bayes_body.recording.readers.keypoints.person import FEWEST, NEAR, SAME, People, choose_person
 from bayes_body.recording.readers.keypoints.triangulate import reprojection_errors, triangulate
-from bayes_body.recording.session.session import CameraSpec
+from bayes_body.recording.session.session import CameraSpec, Keypoints
 
 KIND = "an .npz with `keypoints` (frame, keypoint, 3), pixels and confidence, and `names` of the keypoints"
 REMEDY = "import the keypoints again, or write it with numpy.savez(path, keypoints=..., names=...)"
@@ -46,13 +48,32 @@ class KeypointSeries(NamedTuple):
     keypoints: Float[np.ndarray, "frame keypoint 3"]
     names: tuple[str, ...]
     first: int
+    candidates: Candidates | None = None
+    others: OtherPeople | None = None
 
     def frame(self, number: int) -> dict[str, tuple[float, float, float]]:
         """The keypoints found in a frame (camera's numbering), under the marker's name where the keypoint is a marker."""
+        row = self._row(number)
+        return {} if row is None else self._named(self.keypoints[row])
+
+    def candidates_in(self, number: int) -> list[tuple[Keypoints, float]]:
+        """The keypoints of the subject's candidates in a frame (camera's numbering), with their shares; none without candidates."""
+        row = self._row(number)
+        if self.candidates is None or row is None:
+            return []
+        pairs = zip(self.candidates.points[row], self.candidates.shares[row].tolist(), strict=True)
+        return [(self._named(points), share) for points, share in pairs if share > 0]
+
+    def others_in(self, number: int) -> Float[np.ndarray, "person keypoint 3"]:
+        """The keypoints of other people in a frame (camera's numbering)."""
+        row = self._row(number)
+        return np.zeros((0, len(self.names), 3), np.float32) if self.others is None or row is None else self.others.frame(row)
+
+    def _row(self, number: int) -> int | None:
         row = number - self.first
-        if not 0 <= row < len(self.keypoints):
-            return {}
-        keypoints = self.keypoints[row]
+        return row if 0 <= row < len(self.keypoints) else None
+
+    def _named(self, keypoints: Float[np.ndarray, "keypoint 3"]) -> dict[str, tuple[float, float, float]]:
         valid = np.isfinite(keypoints).all(axis=1) & (keypoints[:, 2] > 0)
         points = zip(self.names, keypoints.tolist(), valid.tolist(), strict=True)
         return {MARKERS.get(name, name): (column, line, confidence) for name, (column, line, confidence), is_valid in points if is_valid}
@@ -65,8 +86,13 @@ def write_series(path: Path, series: KeypointSeries) -> None:
         InputError: it cannot be written.
     """
     make_folder(path.parent)
+    arrays = {"keypoints": series.keypoints.astype(np.float32), "names": np.array(series.names), "first": np.array(series.first)}
+    if series.candidates is not None:
+        arrays |= {"candidates": series.candidates.points.astype(np.float32), "shares": series.candidates.shares.astype(np.float32)}
+    if series.others is not None:
+        arrays |= {"others": series.others.points.astype(np.float32), "other_counts": series.others.counts}
     with replacing(path) as partial:
-        np.savez_compressed(partial, keypoints=series.keypoints.astype(np.float32), names=np.array(series.names), first=np.array(series.first))
+        np.savez_compressed(partial, **arrays)
 
 
 def read_series(path: Path) -> KeypointSeries:
@@ -85,12 +111,14 @@ def read_series(path: Path) -> KeypointSeries:
 @lru_cache(maxsize=KEPT)
 def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
     del state
-    arrays = read_arrays(path, ("keypoints", "names", "first"), KIND, REMEDY)
+    arrays = read_arrays(path, ("keypoints", "names", "first", *KEYS), KIND, REMEDY)
     for key in ("keypoints", "names"):
         if key not in arrays:
             raise input_error(path, f"no `{key}`", KIND, REMEDY)
     names = _names(path, arrays["names"])
-    return KeypointSeries(_points(path, arrays["keypoints"], len(names)), names, _first(path, arrays.get("first", np.array(0))))
+    points, first = _points(path, arrays["keypoints"], len(names)), _first(path, arrays.get("first", np.array(0)))
+    candidates, others = (read(path, arrays, len(points), len(names), REMEDY) for read in (read_candidates, read_others))
+    return KeypointSeries(points, names, first, candidates, others)
 
 
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:
