@@ -12,6 +12,7 @@ from bayes_body.cli.plugin_option import Plugins, own_terms
 from bayes_body.cli.study import CLUSTER_HELP, track_several
 from bayes_body.cli.terminal import say
 from bayes_body.runs.limits import FEWEST_KEPT, LARGEST_SEED
+from bayes_body.runs.people import ALL, people_sessions, person_of
 
 if TYPE_CHECKING:
     from bayes_body.model.definition import Definition
@@ -49,6 +50,12 @@ def track(
     moves: int | None = typer.Option(None, "--moves", help="Markov moves of a particle per stage (tempered only)."),
     leapfrog_steps: int | None = typer.Option(None, "--leapfrog-steps", help="Leapfrog steps per trajectory (tempered and hmc only)."),
     settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another option of the kernel, such as step=0.1; may be repeated."),
+    person: str | None = typer.Option(
+        None,
+        "--person",
+        help="Of a recording with several people: the number of one (`bayes-body people` lists them), or `all`, which makes a study with a folder "
+        "for everyone; by default the one in view of most cameras for the longest time.",
+    ),
     runs: int | None = typer.Option(
         None,
         "--runs",
@@ -95,19 +102,27 @@ def track(
     plugin: Plugins = None,
 ) -> None:
     """Track the person in a session; writes run.toml, frames, posterior.nc, summary.json, overlay.mp4 and stills."""
-    if len(session) > 1 or cluster is not None:
+    whom = None if person is None else person_of(person)
+    if len(session) > 1 or cluster is not None or whom == ALL:
         for option, value in (("--live", live), ("--wait", wait), ("--port", port)):
             if value is not None:
-                raise input_error(option, f"given with {len(session)} sessions", "one session", "track the live recording by itself")
+                problem = f"given with {f'{len(session)} sessions' if len(session) > 1 else 'a study'}"
+                raise input_error(option, problem, "one session, and one person", "track the live recording by itself")
         table: dict[str, Any] = {
             "model": model, "kernel": kernel, "particles": particles, "layers": layers, "move": move, "moves": moves,
             "leapfrog_steps": leapfrog_steps, "set": _with_settings({}, settings), "first_frame": first_frame,
-            "frames": frames, "init": init, "recover": recover, "runs": runs, "seed": seed,
+            "frames": frames, "init": init, "recover": recover, "runs": runs, "seed": seed, "person": whom,
             "keep_draws": draws_of(keep), "pictures": False if no_pictures else None, "plugins": [str(file) for file in plugin or ()],
         }  # fmt: skip
+        if out is None and len(session) == 1:
+            out = folder_beside(session[0], "people")
         track_several(session, out, {name: value for name, value in table.items() if value is not None}, cluster)
         return
     (session_folder,) = session
+    if whom is not None and live is not None:
+        raise input_error("--person", f"{whom} with --live", "one of the two", "the person in view of most cameras is followed live")
+    if whom is not None:
+        (session_folder,) = people_sessions(session_folder, whom, say, bar=True)
     from bayes_body.base.config import configure
 
     configure()
@@ -125,7 +140,7 @@ def track(
         raise input_error("--init", f"'{init}'", f"{GIVEN} or {AUTO}", "give one of them")
     overrides = {name: value for name, value in (counts | {"move": move}).items() if value is not None}
     overrides = _with_settings(overrides, settings)
-    folder = out or _free_run(session_folder, resume)
+    folder = out or _free_run(session[0], resume, f"person_{whom}" if whom else "run")
     if out is None:
         say(f"run        {folder}")
     draws, pictures = draws_of(keep), not no_pictures
@@ -194,21 +209,26 @@ def live_of(folder: Path | None, wait_s: float | None, port: int | None) -> "Liv
     return LiveSettings(folder, WAIT_S if wait_s is None else wait_s, port or 0)
 
 
-def _free_run(session: Path, resume: bool) -> Path:
-    """Return `SESSION_run` beside the session, or the next free `SESSION_run_2`, ..."""
+def _free_run(session: Path, resume: bool, ending: str) -> Path:
+    """Return `SESSION_ENDING` beside the session, or the next free `SESSION_ENDING_2`, ..."""
     if resume:
         raise input_error("--resume", "no --out", "the folder of the run to continue", "name it with --out")
-    return free_beside(session, "run")
+    return free_beside(session, ending)
 
 
 def free_beside(session: Path, ending: str) -> Path:
     """Return `SESSION_ENDING` beside a session, or the next free `SESSION_ENDING_2`, ..."""
     from bayes_body.results.storage.names import free_folder
 
+    return free_folder(folder_beside(session, ending))
+
+
+def folder_beside(session: Path, ending: str) -> Path:
+    """Return `SESSION_ENDING` beside a session."""
     folder = session if session.is_dir() else session.parent
     # The name of `.` is empty.
     folder = folder if folder.name not in ("", "..") else folder.resolve()
-    return free_folder(folder.with_name(f"{folder.name}_{ending}"))
+    return folder.with_name(f"{folder.name}_{ending}")
 
 
 def _with_settings(overrides: dict[str, Any], texts: list[str]) -> dict[str, Any]:

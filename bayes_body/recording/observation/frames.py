@@ -33,7 +33,7 @@ class Frame(NamedTuple):
     if it was asked for and there is one; it knows no frame before itself. `have_image` says which cameras see the frame if that is known without
     reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
-    `others` are the keypoints (person, keypoint, 3) of other people in each camera. Both are None as a whole where no camera sees several people.
+    `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. Both are None as a whole where no camera sees several people.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -46,7 +46,7 @@ class Frame(NamedTuple):
     before: "Frame | None" = None
     have_image: tuple[bool, ...] | None = None
     candidates: tuple[tuple[tuple[Keypoints, float], ...], ...] | None = None
-    others: tuple[NDArray[np.floating], ...] | None = None
+    bystanders: tuple[NDArray[np.floating], ...] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -100,13 +100,13 @@ def read_frame(
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints, cameras = _keypoints(session, index, have_image), cameras_at(session, index)
-    candidates, others = _candidates(session, index, have_image), _others(session, index, have_image)
+    candidates, bystanders = _candidates(session, index, have_image), _bystanders(session, index, have_image)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, others)
+        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, others)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders)
 
 
 def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
@@ -156,11 +156,21 @@ def _of_camera(file: KeypointSeries, number: int) -> list[tuple[Keypoints, float
     return file.candidates_in(number)
 
 
-def _others(session: Session, index: int, have_image: Sequence[bool]) -> tuple[NDArray[np.floating], ...] | None:
+def _bystanders(session: Session, index: int, have_image: Sequence[bool]) -> tuple[NDArray[np.floating], ...] | None:
     series = _series(session, index, have_image)
-    if all(file is None or file.others is None for file, _ in series):
+    if all(file is None or file.bystanders is None for file, _ in series):
         return None
-    return tuple(np.zeros((0, 0, 3)) if file is None or number is None else file.others_in(number) for file, number in series)
+    return tuple(np.zeros((0, 0, 3)) if file is None or number is None else file.bystanders_in(number) for file, number in series)
+
+
+def bystanders_at(session: Session, index: int) -> tuple[list[Keypoints], ...]:
+    """The keypoints of other people in each camera in frame `index`, counted from 0.
+
+    Raises:
+        InputError: unreadable keypoints.
+    """
+    series = _series(session, index, (True,) * len(session.views))
+    return tuple([] if file is None or number is None else file.named_bystanders_in(number) for file, number in series)
 
 
 class _Picture:

@@ -27,7 +27,7 @@ from bayes_body.density.factor import State, variables
 from bayes_body.model.body.solids import Body, facing_discs, part_transforms, widened
 from bayes_body.model.build import Model
 from bayes_body.model.unknowns.apply import Unknowns, with_changes
-from bayes_body.recording.observation.frames import Frame, cameras_with_picture, read_frame
+from bayes_body.recording.observation.frames import Frame, bystanders_at, cameras_with_picture, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
 from bayes_body.results.posterior import markers, mean_pose
@@ -208,6 +208,23 @@ def frame_fit(
             if person is not None:
                 overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
     return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
+
+
+def distance_from_bystanders(session: Session, model: Model, pose: Float[np.ndarray, "*shape"], index: int) -> Float[np.ndarray, " camera"]:
+    """Return the distance of a pose (radians and metres) from the keypoints of the other person who is nearest in each camera, in a frame.
+
+    It is measured as `Fit.distance`, and NaN where no other person is detected.
+
+    Raises:
+        InputError: unreadable keypoints.
+    """
+    people, cameras = bystanders_at(session, index), range(len(session.views))
+    frame = Frame(index, (None,) * len(people), None, have_image=(True,) * len(people))
+    distances = np.full((max(map(len, people), default=0), len(people)), np.nan)
+    for number in range(len(distances)):
+        keypoints = tuple(people[c][number] if number < len(people[c]) else None for c in cameras)
+        distances[number] = _distances(seen_in(model, session, index), pose[None], frame._replace(keypoints=keypoints))[0][0]
+    return np.fmin.reduce(distances, axis=0) if len(distances) else np.full(len(people), np.nan)
 
 
 def _share(mask: Bool[np.ndarray, "row column"]) -> float:

@@ -19,7 +19,7 @@ from bayes_body.initial.fitting.outline import LEAST_OVERLAP
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.fit import Fit, frame_fit, silhouette_shares
+from bayes_body.results.metrics.fit import Fit, distance_from_bystanders, frame_fit, silhouette_shares
 
 # The body is not on the person if the median over the cameras of the cover is below the first, or that of the distance (as a fraction of the
 # person's size) is above the second.
@@ -121,9 +121,17 @@ def is_off(fit: Fit) -> Bool[np.ndarray, " run"]:
 
 
 def first_fit(session: Session, model: Model) -> dict[str, Any]:
-    """Return the fit of the model's first pose to frame 0: `fit_by`, `fit_first`, `overlap_first` and `first_frame` of `summary.json`."""
+    """Return the fit of the model's first pose to frame 0: `fit_by`, `fit_first`, `overlap_first` and `first_frame` of `summary.json`.
+
+    If the pose is on another person than the one that is tracked, `fit_bystander` is its distance from that person's keypoints.
+    """
     verdict = judge(_first(session, model))
-    return _first_figures(verdict, bool(np.isfinite(verdict.distance).any())) | {"first_frame": session.first_frame}
+    figures = _first_figures(verdict, bool(np.isfinite(verdict.distance).any())) | {"first_frame": session.first_frame}
+    if verdict.distance[0] > MOST_DISTANCE:
+        distances = distance_from_bystanders(session, model, np.asarray(model.initial[model.body.variable], float), 0)
+        distance = float(_over_cameras(distances[None])[0])
+        figures |= {"fit_bystander": distance} if distance <= MOST_DISTANCE else {}
+    return figures
 
 
 def _first(session: Session, model: Model) -> Fit:

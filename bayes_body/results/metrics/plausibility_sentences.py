@@ -96,6 +96,13 @@ def _first(wordings: tuple[_Wording, ...], figures: Mapping[str, Any]) -> str | 
     if crossed is None:
         return None
     wording, value = crossed
+    bystander = figures.get("fit_bystander")
+    if bystander is not None:
+        return (
+            f"frame {figures.get('first_frame', 0)}: the first pose is that of another person: it is {bystander:.2f} of a person's size in the image "
+            f"away from that person's keypoints, and {value:.2f} from those of the person who is tracked; remove the first pose from the session, or "
+            "track the other person with --person."
+        )
     remedy = "check the calibration, the units, the subject's height, the silhouettes and the first pose of the session"
     return f"frame {figures.get('first_frame', 0)}: the body in its first pose does not fit the image: {wording.figure(value)}; {remedy}."
 

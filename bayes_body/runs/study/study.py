@@ -5,15 +5,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bayes_body.base.errors import InputError
+from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import units_bar
+from bayes_body.runs.people import Person, people_sessions
 from bayes_body.runs.study.driver import Driver, Event, Share, Show, check_digests
 from bayes_body.runs.study.host import cores, gpus
 from bayes_body.runs.study.overview import Overview
 from bayes_body.runs.study.places import LocalPlaces, Places
 from bayes_body.runs.study.status import read_study
 from bayes_body.runs.study.study_file import StudyFile, write_study_file
-from bayes_body.runs.study.units import Unit, session_folders, units_of
+from bayes_body.runs.study.units import Unit, check_names, session_folders, session_name, units_of
 
 # Names of sessions that a sentence lists.
 LISTED = 3
@@ -72,8 +73,26 @@ def plan(study: StudyFile, out: Path, show: Show) -> tuple[StudyFile, list[Unit]
     folders = session_folders(study.sessions, notes)
     for note in notes:
         show(f"note: {note}")
-    study = study.model_copy(update={"sessions": [str(folder) for folder in folders]})
+    if study.person is not None:
+        folders = _people(folders, study.person, show)
+    study = study.model_copy(update={"sessions": [str(folder) for folder in folders], "person": None})
     return study, units_of(study, out)
+
+
+def _people(recordings: list[Path], person: Person, show: Show) -> list[Path]:
+    """Return the sessions of the people of recordings. A recording without them is left out, unless it is the only one."""
+    folders = list[Path]()
+    for recording in recordings:
+        try:
+            folders += people_sessions(recording, person, show, bar=True)
+        except InputError as error:
+            if len(recordings) == 1:
+                raise
+            show(f"note: {recording} is left out: {error}")
+    if not folders:
+        raise input_error("person", f"{person}", "a recording with people in its keypoints", "import the recordings with keypoints")
+    check_names(folders)
+    return folders
 
 
 def preview(study: StudyFile, out: Path, show: Show) -> None:
@@ -128,7 +147,7 @@ def _remark_on_earlier(study: StudyFile, out: Path, show: Show) -> None:
         earlier = read_study(out)
     except InputError:
         return
-    missing = [Path(folder).name for folder in earlier.sessions if folder not in study.sessions]
+    missing = [session_name(Path(folder)) for folder in earlier.sessions if folder not in study.sessions]
     if missing:
         names = ", ".join(missing[:LISTED]) + (f" and {len(missing) - LISTED} more" if len(missing) > LISTED else "")
         show(f"note: {names}: in the earlier study of {out}, and not in this one; their runs stay, without a row in index.html.")

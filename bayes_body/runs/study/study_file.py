@@ -72,6 +72,8 @@ class StudyFile(TrackTable):
     """Heading of the page"""
     sessions: Annotated[list[Name], Field(min_length=1)]
     """Folders of sessions, or patterns such as `sessions/*/`; relative to this file"""
+    person: Count | Literal["all"] | None = None
+    """Of recordings with several people: the number of one, or `"all"`; by default the one in view of most cameras for the longest time"""
     out: Name | None = None
     """Folder of the study, relative to this file; `--out` comes before it"""
     runs: Count = 1

@@ -14,6 +14,8 @@ from bayes_body.results.storage.names import SUMMARY_FILE
 from bayes_body.runs.study.study_file import StudyFile, TrackTable
 
 SESSION_FILE = "session.toml"
+# The folder of a session in which the sessions of its people are.
+PEOPLE = "people"
 # The unit of a session that follows its runs, and the folder of all runs together.
 CLOSING, ALL_RUNS, SMOOTHED = "closing", "all_runs", "_smoothed"
 # Options of `track` that take a value, by their names in a study's file.
@@ -112,14 +114,20 @@ def check_names(folders: list[Path]) -> None:
     Raises:
         InputError: there are some.
     """
-    for name, count in Counter(folder.name for folder in folders).items():
+    for name, count in Counter(map(session_name, folders)).items():
         if count > 1:
-            same = " and ".join(str(folder) for folder in folders if folder.name == name)
+            same = " and ".join(str(folder) for folder in folders if session_name(folder) == name)
             raise input_error(
                 "sessions", f"{same} have one name", "one name for each session, since it names a folder of the study", "rename one of them"
             )
         if name.startswith(".") or not name:
             raise input_error("sessions", f"'{name}' begins with a dot", "a name that is not hidden", "rename the folder")
+
+
+def session_name(folder: Path) -> str:
+    """Return the name of a session in a study: that of its folder; of a person of a recording, `RECORDING_person_2`."""
+    recording = folder.parent.parent
+    return f"{recording.name}_{folder.name}" if folder.parent.name == PEOPLE and (recording / SESSION_FILE).is_file() else folder.name
 
 
 def recording_of(folder: Path) -> Recording:
@@ -131,8 +139,8 @@ def recording_of(folder: Path) -> Recording:
         shape = repr([(camera.get("size_px"), sorted(camera)) for camera in cameras])
         frames = tables.get("frames")
     except (OSError, ValueError, AttributeError, TypeError):
-        return Recording(folder.name, folder, "", "", None)
-    return Recording(folder.name, folder, shape, hashlib.sha256(content).hexdigest(), frames if isinstance(frames, int) else None)
+        return Recording(session_name(folder), folder, "", "", None)
+    return Recording(session_name(folder), folder, shape, hashlib.sha256(content).hexdigest(), frames if isinstance(frames, int) else None)
 
 
 def units_of(study: StudyFile, out: Path) -> list[Unit]:

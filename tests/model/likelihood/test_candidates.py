@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from jax.scipy.special import logsumexp
 
 from bayes_body.base.registry import find

@@ -36,7 +36,7 @@ from bayes_body.recording.session.read import load_session
 
 QUICK, MANY = 300, 10_000
 # No reader takes a second; a loop without end would not stop at ten.
-SOON_S = 10
+SOON_S = 60
 # Readers that start a decoder, or cache what they read, for each file.
 SLOW = {"video": 10}
 

@@ -4,7 +4,7 @@
   subject's, by descending share; NaN for frames with fewer of them.
 - `shares` (frame, candidate): the probability that a candidate is the subject's, given where the people of the recording are. What is missing to 1
   is the probability that no detection is the subject's.
-- `others` (detection, keypoint, 3): the detections that are other people's, frame by frame, and `other_counts` (frame,), how many a frame has.
+- `bystanders` (detection, keypoint, 3): the detections that are other people's, frame by frame; `bystander_counts` (frame,): how many a frame has.
 
 `readers/people` makes them.
 """
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 
-KEYS = ("candidates", "shares", "others", "other_counts")
+KEYS = ("candidates", "shares", "bystanders", "bystander_counts")
 # A rounding error of 16 bits.
 TOLERANCE = 1e-3
 
@@ -31,7 +31,7 @@ class Candidates(NamedTuple):
     shares: Float[np.ndarray, "frame candidate"]
 
 
-class OtherPeople(NamedTuple):
+class Bystanders(NamedTuple):
     """The detections of other people in all frames of one camera (see the module)."""
 
     points: Float[np.ndarray, "detection keypoint 3"]
@@ -71,22 +71,22 @@ def read_candidates(path: Path, arrays: Mapping[str, NDArray[np.generic]], frame
     return Candidates(np.asarray(points, np.float32), shares)
 
 
-def read_others(path: Path, arrays: Mapping[str, NDArray[np.generic]], frames: int, keypoints: int, remedy: str) -> OtherPeople | None:
+def read_bystanders(path: Path, arrays: Mapping[str, NDArray[np.generic]], frames: int, keypoints: int, remedy: str) -> Bystanders | None:
     """Return the detections of other people among the arrays of a file; None if it has none. Arguments are those of `read_candidates`.
 
     Raises:
         InputError: only one of the two arrays, of another shape, or counts that do not add up to the detections.
     """
-    if "others" not in arrays and "other_counts" not in arrays:
+    if "bystanders" not in arrays and "bystander_counts" not in arrays:
         return None
-    _check_pair(path, arrays, "others", "other_counts", remedy)
-    points, counts = np.asarray(arrays["others"]), np.asarray(arrays["other_counts"])
+    _check_pair(path, arrays, "bystanders", "bystander_counts", remedy)
+    points, counts = np.asarray(arrays["bystanders"]), np.asarray(arrays["bystander_counts"])
     if points.ndim != 3 or points.shape[1:] != (keypoints, 3) or points.dtype.kind != "f":
-        raise input_error(f"{path}: others", f"{points.dtype} of shape {points.shape}", f"numbers of shape (detection, {keypoints}, 3)", remedy)
+        raise input_error(f"{path}: bystanders", f"{points.dtype} of shape {points.shape}", f"numbers of shape (detection, {keypoints}, 3)", remedy)
     if counts.shape != (frames,) or counts.dtype.kind not in "iu" or (counts < 0).any() or counts.sum() != len(points):
         expected = f"{frames} whole numbers that add up to {len(points)}, the detections"
-        raise input_error(f"{path}: other_counts", f"{counts.dtype} of shape {counts.shape}", expected, remedy)
-    return OtherPeople(np.asarray(points, np.float32), counts.astype(np.int64))
+        raise input_error(f"{path}: bystander_counts", f"{counts.dtype} of shape {counts.shape}", expected, remedy)
+    return Bystanders(np.asarray(points, np.float32), counts.astype(np.int64))
 
 
 def _check_pair(path: Path, arrays: Mapping[str, NDArray[np.generic]], first: str, second: str, remedy: str) -> None:

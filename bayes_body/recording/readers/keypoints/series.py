@@ -28,7 +28,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.progress import Watch, unwatched
-from bayes_body.recording.readers.keypoints.candidates import KEYS, Candidates, OtherPeople, read_candidates, read_others
+from bayes_body.recording.readers.keypoints.candidates import KEYS, Bystanders, Candidates, read_bystanders, read_candidates
 from bayes_body.recording.readers.keypoints.lone_person import lone_bodies
 from bayes_body.recording.readers.keypoints.openpose import FARTHEST_PX, MOST_KEYPOINTS
 from bayes_body.recording.readers.keypoints.person import FEWEST, NEAR, SAME, People, choose_person
@@ -49,7 +49,7 @@ class KeypointSeries(NamedTuple):
     names: tuple[str, ...]
     first: int
     candidates: Candidates | None = None
-    others: OtherPeople | None = None
+    bystanders: Bystanders | None = None
 
     def frame(self, number: int) -> dict[str, tuple[float, float, float]]:
         """The keypoints found in a frame (camera's numbering), under the marker's name where the keypoint is a marker."""
@@ -64,10 +64,14 @@ class KeypointSeries(NamedTuple):
         pairs = zip(self.candidates.points[row], self.candidates.shares[row].tolist(), strict=True)
         return [(self._named(points), share) for points, share in pairs if share > 0]
 
-    def others_in(self, number: int) -> Float[np.ndarray, "person keypoint 3"]:
+    def bystanders_in(self, number: int) -> Float[np.ndarray, "person keypoint 3"]:
         """The keypoints of other people in a frame (camera's numbering)."""
         row = self._row(number)
-        return np.zeros((0, len(self.names), 3), np.float32) if self.others is None or row is None else self.others.frame(row)
+        return np.zeros((0, len(self.names), 3), np.float32) if self.bystanders is None or row is None else self.bystanders.frame(row)
+
+    def named_bystanders_in(self, number: int) -> list[Keypoints]:
+        """The keypoints of other people in a frame (camera's numbering), by name, as `frame` has the subject's."""
+        return [self._named(points) for points in self.bystanders_in(number)]
 
     def _row(self, number: int) -> int | None:
         row = number - self.first
@@ -89,8 +93,8 @@ def write_series(path: Path, series: KeypointSeries) -> None:
     arrays = {"keypoints": series.keypoints.astype(np.float32), "names": np.array(series.names), "first": np.array(series.first)}
     if series.candidates is not None:
         arrays |= {"candidates": series.candidates.points.astype(np.float32), "shares": series.candidates.shares.astype(np.float32)}
-    if series.others is not None:
-        arrays |= {"others": series.others.points.astype(np.float32), "other_counts": series.others.counts}
+    if series.bystanders is not None:
+        arrays |= {"bystanders": series.bystanders.points.astype(np.float32), "bystander_counts": series.bystanders.counts}
     with replacing(path) as partial:
         np.savez_compressed(partial, **arrays)
 
@@ -117,8 +121,8 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
             raise input_error(path, f"no `{key}`", KIND, REMEDY)
     names = _names(path, arrays["names"])
     points, first = _points(path, arrays["keypoints"], len(names)), _first(path, arrays.get("first", np.array(0)))
-    candidates, others = (read(path, arrays, len(points), len(names), REMEDY) for read in (read_candidates, read_others))
-    return KeypointSeries(points, names, first, candidates, others)
+    candidates, bystanders = (read(path, arrays, len(points), len(names), REMEDY) for read in (read_candidates, read_bystanders))
+    return KeypointSeries(points, names, first, candidates, bystanders)
 
 
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:

@@ -1,0 +1,65 @@
+"""Bodies against detections: how far each detection of a camera is from each body, and the body that detections of several cameras show.
+
+With several cameras a body is (keypoint, 3), metres. With one camera it is (keypoint, 2), pixels, and a body is what was detected last.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.recording.readers.keypoints.person import FEWEST, People
+from bayes_body.recording.readers.keypoints.triangulate import project, triangulate, triangulate_from_all
+from bayes_body.recording.session.session import CameraSpec
+
+type Bodies = Float[np.ndarray, "body keypoint _"]
+
+
+def sizes_of(people: People) -> Float[np.ndarray, " person"]:
+    """Diagonals of the people's boxes, pixels; 0 for a person without keypoints."""
+    places = people[..., :2]
+    is_seen = np.isfinite(places).all(axis=-1, keepdims=True)
+    lowest, highest = np.where(is_seen, places, np.inf).min(axis=-2), np.where(is_seen, places, -np.inf).max(axis=-2)
+    extent = np.where(is_seen.any(axis=-2), highest - lowest, 0.0)
+    return np.linalg.norm(extent, axis=-1)
+
+
+def distances(camera: CameraSpec, bodies: Bodies, people: People) -> Float[np.ndarray, "body person"]:
+    """Median distances between bodies and people in a camera, as fractions of the people's sizes; infinite where too few keypoints are shared.
+
+    Args:
+        camera: calibrated.
+        bodies: in the world, or in the image of the only camera.
+        people: column, row (pixels; NaN where not seen) and confidence.
+    """
+    if not len(bodies) or not len(people):
+        return np.full((len(bodies), len(people)), np.inf)
+    pixels = bodies if bodies.shape[-1] == 2 else project(camera, bodies.reshape(-1, 3)).reshape(*bodies.shape[:2], 2)
+    apart = np.linalg.norm(pixels[:, None] - people[None, :, :, :2], axis=-1)
+    counts, sizes = (~np.isnan(apart)).sum(axis=-1, keepdims=True), sizes_of(people)
+    # Sorting puts NaN last. Of an even number this is the larger of the middle two.
+    medians = np.take_along_axis(np.sort(apart, axis=-1), np.minimum(counts // 2, apart.shape[-1] - 1), axis=-1)[..., 0]
+    is_known = (counts[..., 0] >= FEWEST) & (sizes > 0)
+    return np.where(is_known, medians / np.where(sizes > 0, sizes, 1.0), np.inf)
+
+
+def body_of(
+    cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequence[int | None], is_robust: bool = True
+) -> Float[np.ndarray, "keypoint _"] | None:
+    """The body that the chosen detections show; None if too few cameras have one, or they share too few keypoints.
+
+    Args:
+        cameras: calibrated.
+        people: for each camera.
+        places: the chosen detection of each camera; None for none.
+        is_robust: whether cameras that are wrong about a keypoint are left out. It takes seven times as long.
+    """
+    chosen = [(camera, group[place]) for camera, group, place in zip(cameras, people, places, strict=True) if place is not None]
+    if len(chosen) < min(2, len(cameras)):
+        return None
+    seeing, points = [camera for camera, _ in chosen], np.stack([person for _, person in chosen])
+    if len(cameras) == 1:
+        body = points[0, :, :2].copy()
+    else:
+        body = triangulate(seeing, points).points_m if is_robust else triangulate_from_all(seeing, points)
+    return body if np.isfinite(body).all(axis=-1).sum() >= FEWEST else None

@@ -1,0 +1,135 @@
+"""The people of a recording: where and when everybody is, in which detections, and with which probability."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.recording.readers.keypoints.person import People
+from bayes_body.recording.readers.people.bodies import distances
+from bayes_body.recording.readers.people.shares import Shares, Weights, joint_shares, weights_of
+from bayes_body.recording.readers.people.tracks import Track, follow_people
+from bayes_body.recording.session.session import CameraSpec
+
+# Where the second is seen by this share of the pictures in which the first one is, who is meant may be another.
+CLOSE = 0.8
+
+
+class Person(NamedTuple):
+    """A person of a recording.
+
+    Attributes:
+        number: from 1 on, by the number of pictures in which the person is seen.
+        first: the first frame, counted from 0.
+        last: the last frame.
+        places: the likeliest detection of each camera, by the rows of the frames from first to last; -1 where none is.
+        shares: for each of these frames and each camera, the probability of every detection.
+        bodies: for each of these frames, metres, or pixels with one camera; NaN where not known.
+        misfit: median distance of the detections from the body, as a fraction of the person's size in the image.
+    """
+
+    number: int
+    first: int
+    last: int
+    places: Int[np.ndarray, "frame camera"]
+    shares: list[list[Float[np.ndarray, " detection"]]]
+    bodies: Float[np.ndarray, "frame keypoint _"]
+    misfit: float
+
+    @property
+    def frames(self) -> int:
+        """The number of frames from the first to the last."""
+        return self.last - self.first + 1
+
+    @property
+    def pictures(self) -> int:
+        """In how many pictures the person is seen."""
+        return int((self.places >= 0).sum())
+
+
+def people_of(
+    cameras: Sequence[CameraSpec],
+    people: Sequence[Sequence[People]],
+    fps: float,
+    watch: Watch = unwatched,
+    exclude: Callable[[Weights], Shares] = joint_shares,
+) -> list[Person]:
+    """Return everybody in a recording, the one who is seen in most pictures first.
+
+    Args:
+        cameras: calibrated, without motion.
+        people: for each frame and camera, column, row (pixels; NaN where not seen) and confidence.
+        fps: frames per second.
+        watch: shows how many frames are done.
+        exclude: the shares of people who exclude each other, from their weights.
+    """
+    tracks = follow_people(cameras, people, fps, watch)
+    bodies = [_filled(track) for track in tracks]
+    pairs = list(zip(tracks, bodies, strict=True))
+    shares, apart = (
+        [[[np.full(len(group), value) for group in people[track.first + row]] for row in range(len(body))] for track, body in pairs]
+        for value in (0.0, np.inf)
+    )
+    for frame, groups in enumerate(people):
+        present = [i for i, track in enumerate(tracks) if track.first <= frame <= track.last]
+        if not present:
+            continue
+        expected = np.array([_around(bodies[i], frame - tracks[i].first) for i in present])
+        for c, (camera, group) in enumerate(zip(cameras, groups, strict=True)):
+            if not len(group):
+                continue
+            rows = distances(camera, expected, group)
+            for i, shares_of_person, distances_of_person in zip(present, exclude(weights_of(rows)), rows, strict=True):
+                shares[i][frame - tracks[i].first][c] = shares_of_person
+                apart[i][frame - tracks[i].first][c] = distances_of_person
+    persons = [_person(*arguments) for arguments in zip(tracks, bodies, shares, apart, strict=True)]
+    persons.sort(key=lambda person: (-person.pictures, person.first))
+    return [person._replace(number=number) for number, person in enumerate(persons, 1)]
+
+
+def _person(track: Track, bodies: np.ndarray, shares: list[list[np.ndarray]], apart: list[list[np.ndarray]]) -> Person:
+    places = np.array([[int(row.argmax()) if len(row) and row.max() > 0 else -1 for row in frame] for frame in shares])
+    misfits = [row[place] for frame, chosen in zip(apart, places, strict=True) for row, place in zip(frame, chosen, strict=True) if place >= 0]
+    return Person(0, track.first, track.last, places, shares, bodies, float(np.median(misfits)) if misfits else np.inf)
+
+
+def _filled(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
+    """The body in every frame from the first to the last: between frames in which it was seen, on a straight line."""
+    frames = np.array(sorted(track.bodies))
+    known, every = np.array([track.bodies[frame] for frame in frames.tolist()]), np.arange(track.first, track.last + 1)
+    flat = known.reshape(len(known), -1)
+    columns = [np.interp(every, frames, column) for column in flat.T]
+    return np.stack(columns, axis=-1).reshape(len(every), *known.shape[1:])
+
+
+def _around(bodies: Float[np.ndarray, "frame keypoint _"], row: int) -> Float[np.ndarray, "keypoint _"]:
+    """The body of a frame by those before and after it."""
+    before, after = bodies[max(row - 1, 0)], bodies[min(row + 1, len(bodies) - 1)]
+    return 0.5 * (before + after)
+
+
+def describe_people(persons: Sequence[Person], cameras: int, numbers: Callable[[int], int], most: int, limit: int) -> list[str]:
+    """Return sentences about who is tracked and why.
+
+    Args:
+        persons: of the recording.
+        cameras: how many have keypoints.
+        numbers: the number by which the user knows a frame, counted from 0.
+        most: the largest number of detections of a camera in a frame.
+        limit: the number of them that are looked at.
+    """
+    sentences = []
+    if most > limit:
+        sentences.append(f"A camera sees {most} people in one frame: the {limit} largest of each picture are looked at.")
+    if len(persons) < 2:
+        return sentences
+    first, second = persons[:2]
+    sentences.append(
+        f"There are {len(persons)} people. Person 1 is the subject: seen in {first.pictures} pictures of {cameras} cameras, frames "
+        f"{numbers(first.first)} to {numbers(first.last)}; person 2 in {second.pictures}. `bayes-body people` shows them, --person 2 tracks another."
+    )
+    if second.pictures >= CLOSE * first.pictures:
+        sentences.append("Person 2 is seen nearly as much as person 1: look at the pictures of both before you take person 1 for the subject.")
+    return sentences

@@ -1,0 +1,179 @@
+"""People over time: a person is opened when cameras agree in several frames, followed by his motion, and closed when two cameras see him no longer.
+
+A person who comes back soon, at a place that he can have reached and with the same lengths between keypoints, is the same one. What is flat and does
+not move is a picture of a person.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_body.base.progress import Watch, unwatched
+from bayes_body.recording.readers.keypoints.person import People
+from bayes_body.recording.readers.people.bodies import sizes_of
+from bayes_body.recording.readers.people.matching import Match, Places, match_known, new_people
+from bayes_body.recording.session.session import CameraSpec
+
+# A person is closed after so many frames in which too few cameras see him, and needs as many sightings as OPENED within as many frames.
+CLOSED, OPENED = 10, 4
+# A shorter track is a ghost.
+SHORTEST = 8
+# New people are looked for in every so many frames: it takes as long as ten frames of following.
+LOOK_EVERY = 3
+# The velocity of a person is that of the last frames, with weights that fall by this factor, and slows down as fast where nobody sees him.
+SMOOTHING = 0.7
+# A person who was away for at most this time, seconds, may have moved so far, metres and metres a second, with lengths so alike (logarithm).
+AWAY_S, NEAR_M, SPEED, ALIKE = 2.0, 0.3, 1.5, 0.08
+# A picture: its keypoints are this near to a plane and to their places, metres (root mean square), for so many seconds at least.
+FLAT_M, STILL_M, STILL_S = 0.015, 0.05, 1.0
+# Two people are farther apart than this, metres: the median over their keypoints.
+SAME_M = 0.2
+# More people are not looked for: the largest in the image are taken.
+MOST_PEOPLE = 12
+
+
+@dataclass
+class Track:
+    """A person, as far as he was followed.
+
+    Attributes:
+        places: his detection in every camera, by frame.
+        bodies: his body, by frame in which enough cameras saw him.
+        velocity: of his body, per frame.
+    """
+
+    places: dict[int, Places] = field(default_factory=dict)
+    bodies: dict[int, Float[np.ndarray, "keypoint _"]] = field(default_factory=dict)
+    velocity: Float[np.ndarray, " _"] = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def first(self) -> int:
+        """The first frame."""
+        return min(self.bodies)
+
+    @property
+    def last(self) -> int:
+        """The last frame."""
+        return max(self.bodies)
+
+    def predicted(self, frame: int) -> Float[np.ndarray, "keypoint _"]:
+        """Return his body in a later frame, by his motion."""
+        gone = frame - self.last
+        travelled = self.velocity * sum(SMOOTHING**step for step in range(gone)) if gone > 1 else self.velocity
+        return self.bodies[self.last] + travelled
+
+    def see(self, frame: int, match: Match) -> None:
+        """Take a frame's detections, and the body that they show if they show one."""
+        body = match.body
+        if any(place is not None for place in match.places):
+            self.places[frame] = match.places
+        if body is None:
+            return
+        if self.bodies:
+            gone = frame - self.last
+            moved = np.nanmedian(body - self.bodies[self.last], axis=0) / gone
+            self.velocity = SMOOTHING * self.velocity + (1 - SMOOTHING) * moved if gone == 1 else np.nan_to_num(moved)
+            # A keypoint that is not seen moves along.
+            body = np.where(np.isfinite(body), body, self.predicted(frame))
+        else:
+            self.velocity = np.zeros(body.shape[-1])
+        self.bodies[frame] = body
+
+
+def limited(people: Sequence[Sequence[People]]) -> tuple[list[list[People]], int]:
+    """Return the people of each frame and camera, at most MOST_PEOPLE of each, the largest in their order, and the largest number there was."""
+    most = max((len(group) for frame in people for group in frame), default=0)
+    if most <= MOST_PEOPLE:
+        return [list(frame) for frame in people], most
+    return [[group[np.sort(np.argsort(-sizes_of(group), kind="stable")[:MOST_PEOPLE])] for group in frame] for frame in people], most
+
+
+def follow_people(cameras: Sequence[CameraSpec], people: Sequence[Sequence[People]], fps: float, watch: Watch = unwatched) -> list[Track]:
+    """Return everybody who is in the recording, in the order of their first frames.
+
+    Args:
+        cameras: calibrated, without motion.
+        people: for each frame and camera, column, row (pixels; NaN where not seen) and confidence.
+        fps: frames per second.
+        watch: shows how many frames are done.
+    """
+    current, ended = list[Track](), list[Track]()
+    for frame in watch(range(len(people))):
+        groups = people[frame]
+        matches = match_known(cameras, groups, np.array([track.predicted(frame) for track in current])) if current else []
+        for track, match in zip(current, matches, strict=True):
+            track.see(frame, match)
+        if frame % LOOK_EVERY == 0 or not current:
+            current += _opened(cameras, groups, matches, current, frame)
+        stopped = [track for track in current if _is_over(track, frame)]
+        ended += stopped
+        current = [track for track in current if track not in stopped]
+    tracks = sorted((track for track in ended + current if len(track.bodies) >= min(SHORTEST, len(people))), key=lambda track: track.first)
+    return [track for track in _joined(tracks, fps) if len(cameras) == 1 or not is_picture(track, fps)]
+
+
+def _opened(cameras: Sequence[CameraSpec], groups: Sequence[People], matches: Sequence[Match], current: Sequence[Track], frame: int) -> list[Track]:
+    """Return tracks of new people. Nobody can stand where somebody else is: such a body is the same person's, detected with faults."""
+    taken = [{place for match in matches if (place := match.places[c]) is not None} for c in range(len(cameras))]
+    tracks = list[Track]()
+    for match in new_people(cameras, groups, taken):
+        assert match.body is not None
+        is_new = len(cameras) == 1 or all(_apart(track.predicted(frame), match.body) > SAME_M for track in current)
+        if is_new:
+            tracks.append(Track())
+            tracks[-1].see(frame, match)
+    return tracks
+
+
+def _apart(body: np.ndarray, rival: np.ndarray) -> float:
+    """The median distance between the keypoints of two bodies that are known, metres."""
+    apart = np.linalg.norm(body - rival, axis=-1)
+    return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else np.inf
+
+
+def _is_over(track: Track, frame: int) -> bool:
+    """Whether a person is no longer in view, or was a ghost: not seen again in the frames that would have opened him."""
+    age = frame - track.first
+    return frame - track.last >= CLOSED or (OPENED <= age < CLOSED and len(track.bodies) < OPENED and frame - track.last > OPENED)
+
+
+def _joined(tracks: Sequence[Track], fps: float) -> list[Track]:
+    """Return the tracks with those of people who came back joined."""
+    joined = list[Track]()
+    for track in tracks:
+        earlier = [person for person in joined if _came_back(person, track, fps)]
+        if not earlier:
+            joined.append(track)
+            continue
+        person = max(earlier, key=lambda person: person.last)
+        person.places |= track.places
+        person.bodies |= track.bodies
+    return joined
+
+
+def _came_back(earlier: Track, later: Track, fps: float) -> bool:
+    away_s = (later.first - earlier.last) / fps
+    if not 0 < away_s <= AWAY_S or earlier.bodies[earlier.last].shape[-1] == 2:
+        return False
+    apart = np.nanmedian(np.linalg.norm(later.bodies[later.first] - earlier.bodies[earlier.last], axis=-1))
+    return bool(apart <= NEAR_M + SPEED * away_s) and abs(_log_size(earlier) - _log_size(later)) <= ALIKE
+
+
+def _log_size(track: Track) -> float:
+    """The logarithm of a person's size: of the median distance between keypoints, over keypoints and frames."""
+    bodies = np.array(list(track.bodies.values()))
+    return float(np.log(np.nanmedian(np.linalg.norm(bodies - np.nanmean(bodies, axis=1, keepdims=True), axis=-1))))
+
+
+def is_picture(track: Track, fps: float) -> bool:
+    """Whether a track is a picture of a person, such as a poster: flat, and always at one place."""
+    bodies = np.array(list(track.bodies.values()))
+    if track.last - track.first < STILL_S * fps:
+        return False
+    mean = np.nanmedian(bodies, axis=0)
+    known = mean[np.isfinite(mean).all(axis=-1)]
+    moved = np.nanmedian(np.linalg.norm(np.nanmedian(bodies, axis=1) - np.nanmedian(mean, axis=0), axis=-1))
+    thickness = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(known))
+    return bool(moved <= STILL_M and thickness <= FLAT_M)
