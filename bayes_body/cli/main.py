@@ -27,6 +27,7 @@ from bayes_body.cli import (
     learn,
     mocap,
     models,
+    people,
     picture,
     report,
     simulate,
@@ -53,6 +54,7 @@ app = typer.Typer(
 COMMANDS: tuple[tuple[str, Any, str], ...] = (
     ("demo", demo.demo, "Film a simulated walk, track it, compare with the truth."),
     ("import", import_.app, "Make a session from a laboratory's files."),
+    ("people", people.people, "List who is in a recording, a session for everyone."),
     ("fit", fit.fit, "Infer lengths and cameras from keypoints."),
     ("track", track.track, "Track the person in a session."),
     ("study", study.study, "Track many sessions, on this machine or a cluster."),

@@ -27,6 +27,10 @@ from bayes_body.recording.readers.keypoints.series import KeypointSeries, follow
 from bayes_body.recording.readers.keypoints.stature import check_stature, measure_stature, triangulated_body
 from bayes_body.recording.readers.keypoints.units import check_unit, in_pixels
 from bayes_body.recording.readers.options import Options
+from bayes_body.recording.readers.people.detections import write_detections
+from bayes_body.recording.readers.people.files import in_all_frames, series_of
+from bayes_body.recording.readers.people.people import Person, describe_people, people_of
+from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
 # How many evenly spaced files of a camera tell the order of the keypoints, if the session has few frames.
@@ -102,13 +106,19 @@ def with_keypoints(
     cameras, names = _common_points(cameras, points)
     people = [list(frame) for frame in zip(*cameras.values(), strict=True)]
     verdict = judge_rig(session, views, people, names, options.rig)
-    places = follow_person([view.camera for view in views], people, watched("following the person", options.progress))
+    people, most = limited(people)
+    subject, who = _main_person(session, views, people, names, most, options.progress)
+    if subject is None:
+        places = follow_person([view.camera for view in views], people, watched("following the person", options.progress))
+    else:
+        places = [tuple(None if place < 0 else place for place in row) for row in subject.places.tolist()]
     frames = list(zip(people, places, strict=True))
     rows = np.stack([[subject_row(view.camera, frame[c], chosen[c], len(names)) for frame, chosen in frames] for c, view in enumerate(views)])
     remarks = [
         *([orders.remark] if orders.remark else []),
         *remarks,
         *describe_crowd(session, views, people, places),
+        *who,
         *describe_absence(views, people),
         *describe_verdict(views, people, places, verdict),
     ]
@@ -116,7 +126,11 @@ def with_keypoints(
         body = triangulated_body([view.camera for view in views], rows)
         remarks += check_body(orders, body, names, options.layout is not None)
         remarks += check_stature(measure_stature(body, names), session.subject.height_m, unit)
-    files = {view.camera.name: _written(session, view, points, names) for view, points in zip(views, rows, strict=True)}
+    files = {}
+    for c, (view, points) in enumerate(zip(views, rows, strict=True)):
+        first = session.number(view, 0)
+        series = KeypointSeries(points, names, first) if subject is None else series_of(subject, view.camera, c, people, names, first)
+        files[view.camera.name] = _written(session, view, series)
     marked = tuple(replace(view, keypoints=files.get(view.camera.name)) for view in session.views)
     # A first pose in angles or markers that the source provides takes precedence.
     has_first_pose = session.initial or session.initial_markers
@@ -249,8 +263,23 @@ def subject_row(camera: CameraSpec, people: People, place: int | None, keypoints
     return row
 
 
-def _written(session: Session, view: View, points: Float[np.ndarray, "frame keypoint 3"], names: tuple[str, ...]) -> str:
+def _written(session: Session, view: View, series: KeypointSeries) -> str:
     """Write the camera's file with the subject's keypoints inside the image; returns its name as the session writes it."""
     name = f"{FOLDER}/{view.camera.name}.npz"
-    write_series(session.folder / name, KeypointSeries(points, names, session.number(view, 0)))
+    write_series(session.folder / name, series)
     return name
+
+
+def _main_person(
+    session: Session, views: Sequence[View], people: list[list[People]], names: tuple[str, ...], most: int, progress: bool
+) -> tuple[Person | None, list[str]]:
+    """The person who is seen in most pictures, with rows for all frames, and sentences about who is there. All people are written beside the session.
+
+    None if no camera sees two people in any frame, if no two cameras agree on anybody, or if a camera moves.
+    """
+    if session.moves or all(len(group) < 2 for frame in people for group in frame):
+        return None, []
+    write_detections(session, views, people, names)
+    persons = people_of([view.camera for view in views], people, session.fps, watched("following the people", progress))
+    sentences = describe_people(persons, len(views), session.frame_number, most, MOST_PEOPLE)
+    return (in_all_frames(persons[0], people) if persons else None), sentences

@@ -60,9 +60,14 @@ def _inside(camera: CameraSpec, group: People) -> People:
     return np.where(is_outside[..., None], [np.nan, np.nan, 0.0], group)
 
 
-def is_alone(persons: Sequence[Person], people: Sequence[Sequence[People]]) -> bool:
-    """Whether no camera sees two people in any frame: then there is nothing to choose."""
-    return len(persons) < 2 and all(len(group) < 2 for frame in people for group in frame)
+def in_all_frames(person: Person, people: Sequence[Sequence[People]]) -> Person:
+    """Return the person with rows for all frames of the recording; in those before the first and after the last nobody is detected."""
+    before, after = [
+        [[np.zeros(len(group)) for group in frame] for frame in frames] for frames in (people[: person.first], people[person.last + 1 :])
+    ]
+    places = np.pad(person.places, ((len(before), len(after)), (0, 0)), constant_values=-1)
+    bodies = np.pad(person.bodies, ((len(before), len(after)), (0, 0), (0, 0)), constant_values=np.nan)
+    return person._replace(first=0, last=len(people) - 1, places=places, shares=[*before, *person.shares, *after], bodies=bodies)
 
 
 def write_person(

@@ -73,8 +73,10 @@ class Track:
             return
         if self.bodies:
             gone = frame - self.last
-            moved = np.nanmedian(body - self.bodies[self.last], axis=0) / gone
-            self.velocity = SMOOTHING * self.velocity + (1 - SMOOTHING) * moved if gone == 1 else np.nan_to_num(moved)
+            difference = body - self.bodies[self.last]
+            difference = difference[np.isfinite(difference).all(axis=-1)]
+            moved = np.median(difference, axis=0) / gone if len(difference) else self.velocity
+            self.velocity = SMOOTHING * self.velocity + (1 - SMOOTHING) * moved if gone == 1 else moved
             # A keypoint that is not seen moves along.
             body = np.where(np.isfinite(body), body, self.predicted(frame))
         else:
@@ -157,23 +159,28 @@ def _came_back(earlier: Track, later: Track, fps: float) -> bool:
     away_s = (later.first - earlier.last) / fps
     if not 0 < away_s <= AWAY_S or earlier.bodies[earlier.last].shape[-1] == 2:
         return False
-    apart = np.nanmedian(np.linalg.norm(later.bodies[later.first] - earlier.bodies[earlier.last], axis=-1))
+    apart = _apart(later.bodies[later.first], earlier.bodies[earlier.last])
     return bool(apart <= NEAR_M + SPEED * away_s) and abs(_log_size(earlier) - _log_size(later)) <= ALIKE
 
 
 def _log_size(track: Track) -> float:
     """The logarithm of a person's size: of the median distance between keypoints, over keypoints and frames."""
-    bodies = np.array(list(track.bodies.values()))
+    bodies = _known(track)
     return float(np.log(np.nanmedian(np.linalg.norm(bodies - np.nanmean(bodies, axis=1, keepdims=True), axis=-1))))
+
+
+def _known(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
+    """The bodies of a track, with the keypoints that were seen at some time."""
+    bodies = np.array(list(track.bodies.values()))
+    return bodies[:, np.isfinite(bodies).all(axis=-1).any(axis=0)]
 
 
 def is_picture(track: Track, fps: float) -> bool:
     """Whether a track is a picture of a person, such as a poster: flat, and always at one place."""
-    bodies = np.array(list(track.bodies.values()))
     if track.last - track.first < STILL_S * fps:
         return False
+    bodies = _known(track)
     mean = np.nanmedian(bodies, axis=0)
-    known = mean[np.isfinite(mean).all(axis=-1)]
     moved = np.nanmedian(np.linalg.norm(np.nanmedian(bodies, axis=1) - np.nanmedian(mean, axis=0), axis=-1))
-    thickness = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(known))
+    thickness = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(mean))
     return bool(moved <= STILL_M and thickness <= FLAT_M)
