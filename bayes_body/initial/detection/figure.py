@@ -40,9 +40,16 @@ class ChosenBody(NamedTuple):
     notices: tuple[str, ...]
 
 
-def choose_person(cameras: Sequence[CameraSpec], masks: Sequence[Mask], up: int) -> ChosenBody:
-    """Return the largest person in the hull of two or more cleaned masks; `up` is the index of the world's axis that points up."""
-    people = [body for body in bodies(_on_floor(carve(cameras, masks), up)) if _is_person(body, up)]
+def choose_person(cameras: Sequence[CameraSpec], masks: Sequence[Mask], up: int, covered: Sequence[Mask | None] | None = None) -> ChosenBody:
+    """Return the largest person in the hull of two or more cleaned masks.
+
+    Args:
+        cameras: with their extrinsics in this frame.
+        masks: of each camera.
+        up: index of the world's axis that points up.
+        covered: where known other people cover each camera's image.
+    """
+    people = [body for body in bodies(_on_floor(carve(cameras, masks, covered), up)) if _is_person(body, up)]
     if not people:
         return ChosenBody(None, ("the silhouettes have no body in common that is as large as a person",))
     return ChosenBody(people[0], _notice_of_others(people, up))

@@ -5,6 +5,8 @@ The blurred mask b in [0, 1] of a view gives the evidence $e = \operatorname{log
 three views each must show foreground, with four to seven one may miss it. (On simulated people of the training subjects with poor masks, such hulls
 overlap with those of true masks by 0.62 with four views and 0.69 with seven; hulls in which every view decides alone, by 0.58 and 0.49.)
 
+A view in which another person covers a voxel does not show it.
+
 Coarse voxels are kept if e may reach 1/2 within their circumscribed spheres. Each kept voxel is divided into eight, until its side is `VOXEL_M`.
 Connected voxels (26 neighbours) make one body.
 
@@ -40,12 +42,13 @@ type Voxels = Float[np.ndarray, "_ 3"]
 
 
 class _View(NamedTuple):
-    """One view: the evidence of each pixel, its distance to the foreground, and the blur's reach, pixels."""
+    """One view: the evidence of each pixel, its distance to what may be foreground, the blur's reach, pixels, and where others cover it."""
 
     camera: CameraSpec
     evidence: Float[np.ndarray, "row column"]
     distance: Float[np.ndarray, "row column"]
     blur: float
+    covered: Mask | None
 
 
 def clean(mask: Mask) -> Mask:
@@ -58,9 +61,12 @@ def clean(mask: Mask) -> Mask:
     return large[np.asarray(labels, np.intp)]
 
 
-def carve(cameras: Sequence[CameraSpec], masks: Sequence[Mask]) -> Voxels:
-    """Return the centres of the hull's voxels, metres; none if the silhouettes fill the images. Each of two or more cameras has a mask."""
-    views = [_view(camera, mask) for camera, mask in zip(cameras, masks, strict=True)]
+def carve(cameras: Sequence[CameraSpec], masks: Sequence[Mask], covered: Sequence[Mask | None] | None = None) -> Voxels:
+    """Return the centres of the hull's voxels, metres; none if the silhouettes fill the images. Each of two or more cameras has a mask.
+
+    What other people cover (`covered`, None for a view without any) is not seen.
+    """
+    views = [_view(*view) for view in zip(cameras, masks, covered or [None] * len(masks), strict=True)]
     side = VOXEL_M * 2**LEVELS
     low, high = searched_box(cameras)
     axes = [np.arange(a + side / 2, b + side / 2, side) for a, b in zip(low, high, strict=True)]
@@ -102,17 +108,18 @@ def searched_box(cameras: Sequence[CameraSpec]) -> tuple[Float[np.ndarray, "3"],
     return corners.min(axis=0) - MARGIN_M, corners.max(axis=0) + MARGIN_M
 
 
-def _view(camera: CameraSpec, mask: Mask) -> _View:
+def _view(camera: CameraSpec, mask: Mask, covered: Mask | None) -> _View:
     blur = BLUR * mask.shape[0]
     blurred = EPSILON + (1 - 2 * EPSILON) * cv2.GaussianBlur(mask.astype(np.float32), (0, 0), blur)
     evidence = np.log(blurred / (1 - blurred)) / np.log((1 - EPSILON) / EPSILON)
-    return _View(camera, evidence, cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3), 3 * blur)
+    surely_empty = ~mask if covered is None else ~(mask | covered)
+    return _View(camera, evidence, cv2.distanceTransform(surely_empty.astype(np.uint8), cv2.DIST_L2, 3), 3 * blur, covered)
 
 
 def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[np.ndarray, " voxel"]:
     """Return which voxels belong to the hull; with a radius, which may have parts that do. At least half of the views must show a voxel."""
     view_counts, evidence = np.zeros(len(centres), int), np.zeros(len(centres))
-    for camera, map_, distance, blur in views:
+    for camera, map_, distance, blur, covered in views:
         height, width = map_.shape
         # Far outside an image, pixels may be infinite.
         columns, rows = np.clip(np.nan_to_num(project(camera, centres), nan=-1e6, posinf=-1e6), -1e6, 1e6).T
@@ -120,6 +127,9 @@ def _occupied(views: Sequence[_View], centres: Voxels, radius_m: float) -> Bool[
         reach = max(camera.focal_px) * radius_m / depth
         inside = (columns > -0.5 - reach) & (columns < width - 0.5 + reach) & (rows > -0.5 - reach) & (rows < height - 0.5 + reach)
         indices = np.clip(np.rint(rows), 0, height - 1).astype(int), np.clip(np.rint(columns), 0, width - 1).astype(int)
+        # A coarse voxel's covered views count as foreground: that is never less than without them.
+        if covered is not None and not radius_m:
+            inside &= ~covered[indices]
         view_counts += inside
         evidence += inside * (np.where(distance[indices] <= reach + blur, 1.0, -1.0) if radius_m else map_[indices])
     return (view_counts >= max(2, len(views) / 2)) & (evidence >= LEAST_EVIDENCE * view_counts)

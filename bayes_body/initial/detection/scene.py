@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from bayes_body.initial.detection.figure import ChosenBody, Figure, choose_person, figure, interior_depths
 from bayes_body.initial.detection.hull import VOXEL_M, Mask, Voxels, clean
-from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import Frame, covered_of
 from bayes_body.recording.observation.pictures import Colours, read_colour
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.readers.keypoints.triangulate import project
@@ -25,10 +26,11 @@ class Scene:
     Attributes:
         cameras: with their extrinsics in this frame.
         pictures: blue, green and red; a grey camera's channels are equal.
-        masks: cleaned silhouettes; None if the session has none.
+        masks: cleaned silhouettes, without what other people cover; None if the session has none.
         keypoints: the subject's keypoints by name; None if the session has none.
         up: index of the world's axis that points up.
         stature_m: the person's height, if it is known.
+        covered: where other people cover the image, which is not seen; None for a camera that sees no other person.
     """
 
     cameras: Sequence[CameraSpec]
@@ -37,13 +39,14 @@ class Scene:
     keypoints: Sequence[Keypoints | None] | None
     up: int
     stature_m: float | None = None
+    covered: Sequence[Mask | None] | None = None
 
     @cached_property
     def chosen(self) -> ChosenBody:
         """The person's hull; without masks of two or more cameras there is none."""
         if self.masks is None or len(self.masks) < 2:
             return ChosenBody(None, ())
-        return choose_person(self.cameras, self.masks, self.up)
+        return choose_person(self.cameras, self.masks, self.up, self.covered)
 
     @cached_property
     def figure(self) -> Figure | None:
@@ -81,9 +84,12 @@ class Scene:
     def foreground(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
         """Return, of the views that show each point, the share that show it on the foreground; NaN if no view does, or without silhouettes."""
         hits, shown = np.zeros(len(points)), np.zeros(len(points))
-        for camera, mask in zip(self.cameras, self.people or (), strict=False):
+        for camera, mask, covered in zip(self.cameras, self.people or (), self.covered or [None] * len(self.cameras), strict=False):
             pixels = project(camera, points)
             inside = _is_inside(pixels, mask.shape)
+            if covered is not None:
+                columns, rows = np.rint(pixels[inside]).astype(int).T
+                inside[inside] = ~covered[rows, columns]
             columns, rows = np.rint(pixels[inside]).astype(int).T
             hits[inside] += mask[rows, columns]
             shown += inside
@@ -99,14 +105,15 @@ def read_scene(session: Session, frame: Frame) -> Scene:
     pictures = [read_colour(session, frame.index, view) for view in session.views]
     masks = None if frame.masks is None else list(frame.masks)
     camera_indices = [c for c, picture in enumerate(pictures) if picture is not None and (masks is None or masks[c] is not None)]
-    cameras = cameras_at(session, frame.index)
+    cameras, covered = cameras_at(session, frame.index), covered_of(frame)
     return Scene(
         [cameras[c] for c in camera_indices],
         [picture for c in camera_indices if (picture := pictures[c]) is not None],
-        None if masks is None else [clean(mask) for c in camera_indices if (mask := masks[c]) is not None],
+        None if masks is None else [clean(uncovered(mask, covered[c])) for c in camera_indices if (mask := masks[c]) is not None],
         None if frame.keypoints is None else [frame.keypoints[c] for c in camera_indices],
         "xyz".index(session.up),
         session.subject.height_m,
+        None if frame.covered is None else [covered[c] for c in camera_indices],
     )
 
 

@@ -31,7 +31,8 @@ from bayes_body.initial.fitting.fit import minimise
 from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.outlines import outline_forms, signed_distance
-from bayes_body.recording.observation.frames import read_frame
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import covered_of, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Session
 
@@ -52,12 +53,14 @@ WHERE = "session.toml: initial.fit_outline"
 class Silhouettes(NamedTuple):
     """The silhouette in each camera that saw the person, on its grid.
 
-    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground.
+    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground. `seen` is 0 where another
+    person covers it; None where no camera sees other people.
     """
 
     columns: Float[Array, "camera column"]
     rows: Float[Array, "camera row"]
     inside: Float[Array, "camera row column"]
+    seen: Float[Array, "camera row column"] | None = None
 
 
 class Outline(NamedTuple):
@@ -90,28 +93,32 @@ def fit_outline(model: Model, session: Session) -> Outline:
 
 def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
     """Return the numbers of the cameras that show the person in the first frame, and their silhouettes."""
-    masks = read_frame(session, 0).masks
+    frame = read_frame(session, 0)
+    masks = frame.masks
     if masks is None:
         problem, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
         raise input_error(WHERE, problem, "silhouettes to fit to", remedy)
-    silhouettes = {c: np.asarray(mask) for c, mask in enumerate(masks) if mask is not None and mask.any()}
+    visible = [None if mask is None else uncovered(mask, covered) for mask, covered in zip(masks, covered_of(frame), strict=True)]
+    silhouettes = {c: np.asarray(mask) for c, mask in enumerate(visible) if mask is not None and mask.any()}
     if not silhouettes:
         raise input_error(
             WHERE, "true, but no camera shows a silhouette in the first frame", "one that does", "set it to false, or start at another frame"
         )
-    grids = [_grid(mask) for mask in silhouettes.values()]
-    return list(silhouettes), Silhouettes(*(device_array(np.stack(arrays)) for arrays in zip(*grids, strict=True)))
+    grids = [_grid(mask, covered_of(frame)[c]) for c, mask in silhouettes.items()]
+    arrays = [device_array(np.stack(arrays)) for arrays in zip(*grids, strict=True)]
+    return list(silhouettes), Silhouettes(*(arrays if frame.covered is not None else arrays[:3]))
 
 
-def _grid(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grid(mask: np.ndarray, covered: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     axes = []
     for axis, count in zip((1, 0), GRID, strict=True):
         hit = np.flatnonzero(mask.any(axis=1 - axis))
         margin = MARGIN * (hit[-1] - hit[0] + 1)
         axes.append(np.linspace(max(hit[0] - margin, 0), min(hit[-1] + margin, mask.shape[axis] - 1), count))
     columns, rows = axes
-    inside = mask[np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)]
-    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, inside
+    places = np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)
+    seen = np.ones(GRID[::-1]) if covered is None else 1.0 - covered[places]
+    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, mask[places], seen
 
 
 def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
@@ -135,9 +142,11 @@ def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, 
 def _overlap(body: Body, rig: Camera, pose: Pose, silhouettes: Silhouettes) -> Scalar:
     """Return the mean IoU of the silhouettes and the body's projection."""
 
-    def iou(forms: Array, columns: Array, rows: Array, inside: Array) -> Scalar:
+    def iou(forms: Array, columns: Array, rows: Array, inside: Array, seen: Array | None) -> Scalar:
         distance = signed_distance(body.topology, forms, columns, rows)
         covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
+        if seen is not None:
+            covered = covered * seen
         intersection = jnp.sum(inside * covered)
         return intersection / (jnp.sum(inside) + jnp.sum(covered) - intersection)
 

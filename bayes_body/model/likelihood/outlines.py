@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.geometry.camera import Camera, Pixels
-from bayes_body.base.shapes import Configuration, Scalar
+from bayes_body.base.shapes import Configuration
 from bayes_body.density.sharding import varying_like
 from bayes_body.model.body.solids import Body, PartTopology, Samples
 from bayes_body.model.likelihood.patch_pixels import corner_pixels, rig_patches, rig_pixels
@@ -145,7 +145,13 @@ def _backward(is_sphere: tuple[bool, ...], saved: tuple[Array, ...], cotangent: 
 _distance.defvjp(_forward, _backward)
 
 
-def projected_area(body: Body, rig: Camera, configuration: Configuration, grid: tuple[int, int]) -> Float[Array, " camera"]:
+def projected_area(
+    body: Body,
+    rig: Camera,
+    configuration: Configuration,
+    grid: tuple[int, int],
+    uncovered: Float[Array | np.ndarray, "camera row column"] | None = None,
+) -> Float[Array, " camera"]:
     """Return the covered fraction of each camera's image, in [0, 1]. A part with a corner that is not visible covers nothing.
 
     Args:
@@ -153,16 +159,22 @@ def projected_area(body: Body, rig: Camera, configuration: Configuration, grid: 
         rig: cameras.
         configuration: what places the body.
         grid: columns and rows of the grid over each image.
+        uncovered: the fraction of each cell that counts; all of it by default.
     """
     # Corners of each part's patch. A disc's square is shrunk to the disc's area.
     shrink = np.where(np.array(body.topology.is_sphere), math.sqrt(math.pi) / 2, 1.0)[:, None]
     t = 0.5 + shrink * np.array([[-0.5, 0.5, 0.5, -0.5]])
     s = shrink * np.array([[-1.0, -1.0, 1.0, 1.0]])
     corners = rig_pixels(body, rig, Samples(jnp.asarray(t, configuration.dtype), jnp.asarray(s, configuration.dtype)), configuration)
-    return jax.vmap(lambda c, size: _covered(c, size, *grid))(corners, rig.size)
+    if uncovered is None:
+        return jax.vmap(lambda c, size: jnp.mean(_covered(c, size, *grid)))(corners, rig.size)
+    counted = jnp.asarray(uncovered, corners.u.dtype)
+    areas = jax.vmap(lambda c, size, cells: jnp.sum(cells * _covered(c, size, *grid)))(corners, rig.size, counted)
+    return areas / jnp.maximum(jnp.sum(counted, axis=(1, 2)), 1e-3)
 
 
-def _covered(corners: Pixels[Float[Array, "part 4"]], size: Float[Array, "2"], columns: int, rows: int) -> Scalar:
+def _covered(corners: Pixels[Float[Array, "part 4"]], size: Float[Array, "2"], columns: int, rows: int) -> Float[Array, "row column"]:
+    """The fraction of each cell that the parts cover."""
     u = (jnp.arange(columns) + 0.5) / columns * size[0] - 0.5
     v = (jnp.arange(rows) + 0.5) / rows * size[1] - 0.5
     softness = size[0] / columns
@@ -176,7 +188,7 @@ def _covered(corners: Pixels[Float[Array, "part 4"]], size: Float[Array, "2"], c
         distance = (along_u[:, None, None] * dv - along_v[:, None, None] * du) / length[:, None, None]
         inside *= jax.nn.sigmoid(4 * jnp.sign(signed_area)[:, None, None] * distance / softness)
     inside *= jnp.all(corners.visible, axis=1)[:, None, None]
-    return jnp.mean(1 - jnp.prod(1 - inside, axis=0))
+    return 1 - jnp.prod(1 - inside, axis=0)
 
 
 def _signed_area(corners: Pixels[Float[Array, "part 4"]]) -> Float[Array, " part"]:

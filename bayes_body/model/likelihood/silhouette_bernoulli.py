@@ -3,7 +3,8 @@ r"""Whole silhouettes, as a distribution over binary images: each pixel x of a g
 $$p(z_x = 1 \mid s) = \alpha + (1 - \alpha - \mu)\, c(x; s), \qquad c(x; s) = \frac{1}{1 + e^{-d(x; s) / h}},$$
 
 $\alpha$ = `false_alarm`, $\mu$ = `miss`, h = `soft_px`, and d the distance of the pixel's centre inside the union of the body's projected parts
-(model/likelihood/outlines.py). The log-likelihood is the sum of the pixels' Bernoulli terms, normalised, over all cameras that saw the frame.
+(model/likelihood/outlines.py). The log-likelihood is the sum of the pixels' Bernoulli terms, normalised, over all cameras that saw the frame. A pixel
+that another person covers is no datum.
 
 The pixels of a real silhouette are not independent: a hand that the body model lacks, a shadow or a hole changes many at once. On real images the
 posterior is therefore too narrow. A coarser grid counts fewer pixels.
@@ -79,7 +80,10 @@ class SilhouetteBernoulli:
             )
         configuration = values[Variable(self.body.variable)]
         p = self.foreground(configuration)
-        terms = jnp.sum(jnp.log(jnp.where(evidence.foreground, p, 1 - p)), axis=(1, 2))
+        logs = jnp.log(jnp.where(evidence.foreground, p, 1 - p))
+        if evidence.uncovered is not None:
+            logs = jnp.where(evidence.uncovered, logs, 0.0)
+        terms = jnp.sum(logs, axis=(1, 2))
         # A part that no camera sees would hide a NaN.
         return jnp.where(jnp.isfinite(jnp.sum(configuration)), jnp.sum(jnp.where(evidence.has_image, terms, 0.0)), jnp.nan)
 

@@ -140,8 +140,11 @@ class SilhouetteEdges:
         return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
     def _area_agreement(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
-        """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame."""
-        share = projected_area(self.body, self.rig, configuration, self.area_grid)
+        """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame.
+
+        Both areas are those of what no other person covers.
+        """
+        share = projected_area(self.body, self.rig, configuration, self.area_grid, maps.uncovered)
         foreground, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (self.body_share * maps.foreground, share))
         agreement = 1 - jnp.abs(foreground - projected) / jnp.maximum(foreground, projected)
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)

@@ -34,12 +34,15 @@ class SilhouetteEdgeMaps(NamedTuple):
     """For one frame: the error maps (1 − V)² of silhouette and edges, packed, and the fraction of foreground pixels of each silhouette.
 
     `points` are pixels of each silhouette, column and row relative to the image's centre, for the likelihood's term "cover"; empty if it is not used.
-    A camera that did not see the frame has the same error everywhere, and the fraction `UNSEEN_SHARE`.
+    A camera that did not see the frame has the same error everywhere, and the fraction `UNSEEN_SHARE`. Where other people cover images, `foreground`
+    is the fraction of what they do not cover, and `uncovered` the fraction of each cell that they do not, on the grid on which the body's area is
+    measured; None where no camera sees other people, or no area is measured.
     """
 
     errors: Packed
     foreground: Float[Array | np.ndarray, " camera"]
     points: Float[Array | np.ndarray, "camera point 2"]
+    uncovered: Float[Array | np.ndarray, "camera row column"] | None = None
 
 
 def quantised(
@@ -56,6 +59,14 @@ def quantised(
     scaled = np.clip(values, 0, 1) * 255
     scaled += 0.5
     image[tuple(slice(first, first + extent) for first, extent in zip(corner, values.shape, strict=True))] = scaled
+    return levels
+
+
+def hide(levels: Levels, covered: NDArray[np.bool_] | None, outside: float) -> Levels:
+    """Give the covered pixels (row, column) of an image's maps the value of what is not seen, in place."""
+    if covered is not None:
+        rows, columns = covered.shape
+        levels[..., BORDER : BORDER + rows, BORDER : BORDER + columns][..., covered] = round(outside * 255)
     return levels
 
 

@@ -18,7 +18,9 @@ class SilhouetteEvidence(NamedTuple):
     Attributes:
         foreground: whether the pixel at a grid point belongs to the subject.
         has_image: whether the camera saw the frame; if not, its foreground means nothing.
+        uncovered: whether no other person covers the pixel at a grid point; None where no camera sees other people.
     """
 
     foreground: Bool[Array | np.ndarray, "camera row column"]
     has_image: Bool[Array | np.ndarray, " camera"]
+    uncovered: Bool[Array | np.ndarray, "camera row column"] | None = None

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple, overload
 
 import cv2
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.observation.covered import covered_by
 from bayes_body.recording.observation.pictures import Colours, Greys, check_index, has_picture, read_colour, read_greys
 from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
@@ -33,7 +34,9 @@ class Frame(NamedTuple):
     if it was asked for and there is one; it knows no frame before itself. `have_image` says which cameras see the frame if that is known without
     reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
-    `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. Both are None as a whole where no camera sees several people.
+    `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. `covered` (row, column) is where they cover its image: not seen,
+    for all that reads silhouettes. It is computed on first access, and None for a camera that sees no other person in this frame. All three are None
+    as a whole where no camera sees several people in any frame.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -47,6 +50,7 @@ class Frame(NamedTuple):
     have_image: tuple[bool, ...] | None = None
     candidates: tuple[tuple[tuple[Keypoints, float], ...], ...] | None = None
     bystanders: tuple[NDArray[np.floating], ...] | None = None
+    covered: Sequence[NDArray[np.bool_] | None] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -71,6 +75,11 @@ def masks_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
         problem = "its cameras have no masks, and there are too few frames to learn the background"
         raise input_error("session.toml", problem, "a silhouette for every image", remedy)
     return frame.masks
+
+
+def covered_of(frame: Frame) -> Sequence[NDArray[np.bool_] | None]:
+    """Return where other people cover each camera's image; None for a camera that sees no other person."""
+    return (None,) * len(frame.images) if frame.covered is None else frame.covered
 
 
 def read_frame(
@@ -100,13 +109,13 @@ def read_frame(
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints, cameras = _keypoints(session, index, have_image), cameras_at(session, index)
-    candidates, bystanders = _candidates(session, index, have_image), _bystanders(session, index, have_image)
+    candidates, bystanders, covered = (read(session, index, have_image) for read in (_candidates, _bystanders, _covered))
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders)
+        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
 
 
 def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
@@ -171,6 +180,19 @@ def bystanders_at(session: Session, index: int) -> tuple[list[Keypoints], ...]:
     """
     series = _series(session, index, (True,) * len(session.views))
     return tuple([] if file is None or number is None else file.named_bystanders_in(number) for file, number in series)
+
+
+def _covered(session: Session, index: int, have_image: Sequence[bool]) -> "_OnDemand[NDArray[np.bool_] | None] | None":
+    series = _series(session, index, have_image)
+    if all(file is None or file.bystanders is None for file, _ in series):
+        return None
+    rows = zip(session.views, series, strict=True)
+    return _OnDemand([_region(file, number, view.camera.size_px) for view, (file, number) in rows])
+
+
+def _region(file: KeypointSeries | None, number: int | None, size_px: tuple[int, int]) -> Callable[[], NDArray[np.bool_] | None]:
+    # Several likelihoods and measures ask for it.
+    return cache(lambda: None if file is None or number is None else covered_by(file.named_bystanders_in(number), size_px))
 
 
 class _Picture:

@@ -6,7 +6,8 @@ $$S \log \frac{p_k}{p_3} + (1 - S) \log \frac{1 - p_k}{1 - p_3},$$
 
 where $p_1$ = `inside`, $p_2$ = `band` and $p_3$ = `elsewhere` are the probabilities of foreground. The log-ratio of a pixel of a part's side is
 $E_0^2 - E^2$: E is the distance to the nearest edge, at most `edge_limit_px`, divided by `edge_scale_px`; $E_0^2$ = `edge_elsewhere` is what to
-expect of a pixel about which nothing is known. The paper has $E_0 = 0$, with which leaving the picture would be the best fit.
+expect of a pixel about which nothing is known. The paper has $E_0 = 0$, with which leaving the picture would be the best fit. Where another person
+covers the image, all log-ratios are 0.
 
 The defaults of `inside`, `band` and `edge_elsewhere` are means over four simulated walks, five frames of each in four views, with the likelihood's
 default band. The paper learned 0.8 and 0.3, from silhouettes with more holes. With MODEL a model with `regions`, the commands
@@ -30,9 +31,10 @@ from pydantic import Field
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema
-from bayes_body.recording.evidence.regions import RegionMaps, nats_of, quantised_log_ratios, unseen
-from bayes_body.recording.evidence.silhouette_edges import Levels, pack
-from bayes_body.recording.observation.frames import Frame, masks_of
+from bayes_body.recording.evidence.regions import NEUTRAL, RegionMaps, nats_of, quantised_log_ratios, unseen
+from bayes_body.recording.evidence.silhouette_edges import Levels, hide, pack
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import Frame, covered_of, masks_of
 from bayes_body.recording.observation.silhouette_edges import distance_to, edges, smooth_silhouette
 
 Probability = Annotated[float, Field(strict=True, gt=0, lt=1)]
@@ -68,24 +70,28 @@ def build(options: Options, **_: Any) -> Callable[[Frame], RegionMaps]:
     farthest = (options.edge_limit_px / options.edge_scale_px) ** 2
     largest = [*(max(abs(log_odds) for log_odds in pair) for pair in foreground), max(options.edge_elsewhere, farthest - options.edge_elsewhere)]
 
-    def maps_of(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
-        S = smooth_silhouette(mask, options.smooth_px)
+    def maps_of(image: NDArray[np.uint8], figures: NDArray[np.bool_], covered: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Levels:
+        mask = uncovered(figures, covered)
+        S = smooth_silhouette(mask, options.smooth_px, covered)
         ratios: list[NDArray[np.floating]] = [S * np.float32(if_seen) + (1 - S) * np.float32(if_not) for if_seen, if_not in foreground]
-        ratios.append(np.float32(options.edge_elsewhere) - squared_edge_distance(image, mask, options))
-        return np.stack([quantised_log_ratios(ratio, most, shape) for ratio, most in zip(ratios, largest, strict=True)])
+        ratios.append(np.float32(options.edge_elsewhere) - squared_edge_distance(image, mask, options, covered))
+        levels = np.stack([quantised_log_ratios(ratio, most, shape) for ratio, most in zip(ratios, largest, strict=True)])
+        return hide(levels, covered, NEUTRAL)
 
     def observe(frame: Frame) -> RegionMaps:
         empty_maps = np.stack([unseen(frame.largest)] * 3)
-        pairs = zip(frame.images, masks_of(frame), strict=True)
-        stacks = [empty_maps if image is None or mask is None else maps_of(image, mask, frame.largest) for image, mask in pairs]
+        views = zip(frame.images, masks_of(frame), covered_of(frame), strict=True)
+        stacks = [empty_maps if image is None or mask is None else maps_of(image, mask, covered, frame.largest) for image, mask, covered in views]
         return RegionMaps(pack(np.stack(stacks)), np.array([nats_of(most) for most in largest], np.float32))
 
     return observe
 
 
-def squared_edge_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_], options: Options) -> NDArray[np.float32]:
-    """E² at each pixel (row, column) of an image with a silhouette."""
-    edge_pixels = edges(image, options.edge_threshold) & (distance_to(mask) <= options.edges_within_px)
+def squared_edge_distance(
+    image: NDArray[np.uint8], mask: NDArray[np.bool_], options: Options, covered: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """E² at each pixel (row, column) of an image with a silhouette. Edges of other people, in what they cover, do not count."""
+    edge_pixels = uncovered(edges(image, options.edge_threshold) & (distance_to(mask) <= options.edges_within_px), covered)
     return np.square(np.minimum(distance_to(edge_pixels), np.float32(options.edge_limit_px)) / np.float32(options.edge_scale_px))
 
 

@@ -36,6 +36,10 @@ def build(likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEvide
         masks = list(masks_of(frame))
         empty_mask = np.zeros((rows, columns), bool)
         grids = [empty_mask if mask is None else sample_mask(mask, columns, rows) for mask in masks]
-        return SilhouetteEvidence(np.stack(grids), np.array([mask is not None for mask in masks]))
+        has_image = np.array([mask is not None for mask in masks])
+        if frame.covered is None:
+            return SilhouetteEvidence(np.stack(grids), has_image)
+        regions = [empty_mask if region is None else sample_mask(region, columns, rows) for region in frame.covered]
+        return SilhouetteEvidence(np.stack(grids), has_image, ~np.stack(regions))
 
     return observe

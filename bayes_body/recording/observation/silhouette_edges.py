@@ -5,11 +5,13 @@ each pixel a measure of proximity to an edge". By distance: V = exp(−d²/2h²)
 distances, an arm five pixels wide agrees with its silhouette as fully as a torso does, and a single outline counts as much as a striped shirt
 (docs/decisions). Both maps are stored as (1 − V)², which is what the likelihood averages.
 
+What other people cover is not seen: it has the error of a pixel outside the image, and neither their silhouettes nor their edges draw anything.
+
 Points are spread over a silhouette so that a limb gets points in proportion to its length. By area, a torso would get most of them, and an arm few.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -20,8 +22,9 @@ from numpy.typing import NDArray
 
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
-from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, Levels, SilhouetteEdgeMaps, pack, quantised
-from bayes_body.recording.observation.frames import Frame, masks_of
+from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, Levels, SilhouetteEdgeMaps, hide, pack, quantised
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import Frame, covered_of, masks_of
 
 
 def local_thickness(mask: Bool[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
@@ -103,7 +106,8 @@ class Options(Schema):
 
     `proximity` chooses how the maps are made. By distance, h is `silhouette_smooth_px` and `edge_smooth_px`; edges count only within
     `edges_within_px` of the silhouette, because the others belong to the room. A sample outside an image counts as the error `unseen_error`, wherever
-    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it.
+    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it,
+    and every sample that another person covers.
     `area_of` says whose foreground counts in the agreement of areas, (9): all of it, or the largest figure's, for views of more than one person.
     """
 
@@ -120,20 +124,21 @@ class Options(Schema):
     edges_within_px: NonNegative = 4.0
     """[pixels] with `"distance"`: edges farther from the silhouette belong to the room and do not count."""
     unseen_error: Share = 0.5
-    """the error of a sample outside the image, between 0 (full agreement) and 1 (none)."""
+    """the error of a sample outside the image, or covered by another person, between 0 (full agreement) and 1 (none)."""
     area_of: Literal["all", "largest"] = "all"
     """whose foreground counts in the agreement of areas: `"all"` of it, or that of the `"largest"` figure, where more than one person is in view."""
 
 
-def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float) -> NDArray[np.float32]:
+def edge_proximity(grey: NDArray[np.uint8], threshold: float, smooth_px: float, covered: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
     """Closeness to an edge, in [0, 1]: 1 where edges are densest; zero everywhere in an image without edges.
 
     Args:
         grey: image (row, column).
         threshold: grey levels per pixel that the gradient must exceed.
         smooth_px: standard deviation of the Gaussian.
+        covered: where other people's edges are (row, column), which do not count.
     """
-    proximity = cv2.GaussianBlur(edges(grey, threshold).astype(np.float32), (0, 0), smooth_px)
+    proximity = cv2.GaussianBlur(uncovered(edges(grey, threshold), covered).astype(np.float32), (0, 0), smooth_px)
     highest = float(proximity.max())
     return np.asarray(proximity / highest if highest > 0 else proximity, np.float32)
 
@@ -144,9 +149,13 @@ def edges(grey: NDArray[np.uint8], threshold: float) -> NDArray[np.bool_]:
     return cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) > 8 * threshold
 
 
-def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float) -> NDArray[np.float32]:
-    """The mask (row, column), smoothed by a Gaussian: in [0, 1]."""
-    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
+def smooth_silhouette(mask: NDArray[np.bool_], smooth_px: float, covered: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+    """The mask (row, column), smoothed by a Gaussian: in [0, 1]. Of what others cover, it is smoothed over the rest only."""
+    smooth = np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), smooth_px), np.float32)
+    if covered is None:
+        return smooth
+    weight = cv2.GaussianBlur((~covered).astype(np.float32), (0, 0), smooth_px)
+    return np.minimum(smooth / np.maximum(weight, np.float32(1e-6)), 1)
 
 
 def distance_to(marked: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -180,6 +189,17 @@ def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask & (labels == sizes.argmax())
 
 
+def _uncovered_cells(covered: Sequence[NDArray[np.bool_] | None], columns: int, rows: int) -> Float[np.ndarray, "camera row column"]:
+    """The fraction of each cell of a grid over the images that other people do not cover."""
+    cells = [
+        np.ones((rows, columns), np.float32)
+        if region is None
+        else cv2.resize((~region).astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+        for region in covered
+    ]
+    return np.stack(cells)
+
+
 @register("observation", "silhouette_edges", Options)
 def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame], SilhouetteEdgeMaps]:
     """Compute the likelihood's maps from a frame's images and masks.
@@ -189,18 +209,20 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
         likelihood: the options of the likelihood that reads them. If it has the term "cover", its `cover_points` are used.
     """
     count = likelihood.cover_points if "cover" in getattr(likelihood, "terms", ()) else 0
+    area_grid = likelihood.area_grid if getattr(likelihood, "gamma", 0) else None
 
-    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
+    def by_density(image: NDArray[np.uint8], mask: NDArray[np.bool_], covered: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Levels:
         # A smoothed silhouette is 0 beyond the filter's reach.
         box = surroundings(mask, FARTHEST * options.silhouette_smooth_px)
-        silhouette = smooth_silhouette(mask[box], options.silhouette_smooth_px)
-        edge_values = edge_proximity(image, options.edge_threshold, options.edge_smooth_px)
+        silhouette = smooth_silhouette(mask[box], options.silhouette_smooth_px, None if covered is None else covered[box])
+        edge_values = edge_proximity(image, options.edge_threshold, options.edge_smooth_px, covered)
         return np.stack([levels_in(box, silhouette, image.shape, shape), levels_in(EVERYWHERE, edge_values, image.shape, shape)])
 
-    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_], shape: tuple[int, int]) -> Levels:
+    def by_distance(image: NDArray[np.uint8], mask: NDArray[np.bool_], covered: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Levels:
         box = surroundings(mask, FARTHEST * max(options.silhouette_smooth_px, options.edge_smooth_px) + options.edges_within_px)
         outside = distance_to(mask[box])
         edge_pixels = edges(image[box], options.edge_threshold) & (outside <= options.edges_within_px)
+        edge_pixels = uncovered(edge_pixels, None if covered is None else covered[box])
         values = closeness(outside, options.silhouette_smooth_px), closeness(distance_to(edge_pixels), options.edge_smooth_px)
         return np.stack([levels_in(box, value, image.shape, shape) for value in values])
 
@@ -214,15 +236,18 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
     def observe(frame: Frame) -> SilhouetteEdgeMaps:
         unseen = quantised(np.empty((0, 0), np.float32), options.unseen_error, frame.largest)
         stacks, shares, points = [], [], []
-        for image, mask in zip(frame.images, masks_of(frame), strict=True):
-            if image is None or mask is None:
+        for image, figures, covered in zip(frame.images, masks_of(frame), covered_of(frame), strict=True):
+            if image is None or figures is None or (covered is not None and covered.all()):
                 stacks.append(np.stack([unseen, unseen]))
                 shares.append(UNSEEN_SHARE)
                 points.append(np.zeros((count, 2), np.float32))
             else:
-                stacks.append(maps_of(image, mask, frame.largest))
-                shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / mask.size)
+                mask = uncovered(figures, covered)
+                stacks.append(hide(maps_of(image, mask, covered, frame.largest), covered, options.unseen_error))
+                seen = mask.size if covered is None else mask.size - np.count_nonzero(covered)
+                shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / seen)
                 points.append(spread_points(mask, count))
-        return SilhouetteEdgeMaps(pack(np.stack(stacks)), np.array(shares, np.float32), np.stack(points))
+        cells = None if area_grid is None or frame.covered is None else _uncovered_cells(frame.covered, *area_grid)
+        return SilhouetteEdgeMaps(pack(np.stack(stacks)), np.array(shares, np.float32), np.stack(points), cells)
 
     return observe

@@ -27,7 +27,8 @@ from bayes_body.density.factor import State, variables
 from bayes_body.model.body.solids import Body, facing_discs, part_transforms, widened
 from bayes_body.model.build import Model
 from bayes_body.model.unknowns.apply import Unknowns, with_changes
-from bayes_body.recording.observation.frames import Frame, bystanders_at, cameras_with_picture, read_frame
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import Frame, bystanders_at, cameras_with_picture, covered_of, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
 from bayes_body.results.posterior import markers, mean_pose
@@ -202,11 +203,15 @@ def frame_fit(
         frame = frame._replace(masks=None, foreground=None)
     overlap, cover, area = (np.full(shape, np.nan) for _ in range(3))
     masks = [None] * shape[1] if frame.masks is None else [frame.masks[c] for c in range(shape[1])]
+    covered = [None] * shape[1] if frame.masks is None else covered_of(frame)
     for run, pose in enumerate(poses):
-        for c, (body, person) in enumerate(zip(projected_masks(model, pose, session), masks, strict=True)):
+        for c, (body, person, region) in enumerate(zip(projected_masks(model, pose, session), masks, covered, strict=True)):
             area[run, c] = _share(body)
-            if person is not None:
-                overlap[run, c], cover[run, c] = intersection_over_union(body, person), cover_of(body, person)
+            visible = uncovered(body, region)
+            # Of a body that others cover wholly, this camera tells nothing.
+            if person is not None and (visible is body or visible.any() or not body.any()):
+                figure = uncovered(person, region)
+                overlap[run, c], cover[run, c] = intersection_over_union(visible, figure), cover_of(visible, figure)
     return Fit(overlap, cover, distance, area, silhouette_shares(frame), set(model.body.markers.names) >= WHOLE, distance_px)
 
 
@@ -233,13 +238,16 @@ def _share(mask: Bool[np.ndarray, "row column"]) -> float:
 
 
 def silhouette_shares(frame: Frame) -> Float[np.ndarray, " camera"]:
-    """Return the share of the image that each camera's silhouette covers; NaN for a camera that did not see the frame, and without silhouettes."""
+    """Return the share of the image that each camera's silhouette covers; NaN for a camera that did not see the frame, and without silhouettes.
+
+    What other people cover does not count.
+    """
     shares = np.full(len(frame.images), np.nan)
     for c, has_image in enumerate(frame.seen):
         if has_image and frame.masks is not None:
             mask = frame.masks[c]
             if mask is not None:
-                shares[c] = _share(mask)
+                shares[c] = _share(uncovered(mask, covered_of(frame)[c]))
             elif frame.images[c] is not None:
                 # The image could not be compared with the background.
                 shares[c] = 0.0

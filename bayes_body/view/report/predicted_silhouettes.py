@@ -21,7 +21,8 @@ from bayes_body.density.factor import State, variables
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.silhouette_bernoulli import SilhouetteBernoulli
 from bayes_body.model.unknowns.apply import Unknowns, node_of, with_changes
-from bayes_body.recording.observation.frames import Frame
+from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.frames import Frame, covered_of
 from bayes_body.recording.observation.silhouette_bernoulli import sample_mask
 from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.fit import Outline, drawn_outlines, fill, intersection_over_union
@@ -95,14 +96,18 @@ def silhouette_check(
         silhouette = seen_mask(frame, c)
         if silhouette is None:
             continue
+        covered = covered_of(frame)[c]
         if distribution is None or drawn is None:
-            overlap[c], area[c] = _figures(bodies, [smaller(silhouette)] * len(bodies))
+            region = None if covered is None else smaller(covered)
+            overlap[c], area[c] = _figures([uncovered(body, region) for body in bodies], [smaller(silhouette)] * len(bodies))
             continue
         # The same comparison for the seen silhouette and for drawn ones: on the likelihood's grid.
         grid = distribution.likelihood.grid
-        on_grid = [sample_mask(body, *grid) for body in bodies]
+        region = None if covered is None else sample_mask(covered, *grid)
+        on_grid = [uncovered(sample_mask(body, *grid), region) for body in bodies]
         overlap[c], area[c] = _figures(on_grid, [sample_mask(silhouette, *grid)] * len(bodies))
-        expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in _figures(on_grid, list(drawn[:, c])))
+        expected = _figures(on_grid, [uncovered(mask, region) for mask in drawn[:, c]])
+        expected_overlap[c], expected_area[c] = (np.nanpercentile(values, ENDS) for values in expected)
     return SilhouetteCheck(overlap, area, expected_overlap, expected_area)
 
 
@@ -119,9 +124,10 @@ def body_masks(model: Model, session: Session, states: Mapping[str, Float[np.nda
 
 
 def seen_mask(frame: Frame, camera: int) -> NDArray[np.bool_] | None:
-    """Return the seen silhouette; None if there is none, or if it is empty."""
+    """Return the seen silhouette, without what other people cover; None if there is none, or if it is empty."""
     mask = None if frame.masks is None else frame.masks[camera]
-    return mask if mask is not None and mask.any() else None
+    visible = None if mask is None else uncovered(mask, covered_of(frame)[camera])
+    return visible if visible is not None and visible.any() else None
 
 
 def smaller(mask: NDArray[np.bool_]) -> Bool[np.ndarray, "row column"]:
