@@ -1,8 +1,9 @@
-"""The region of an image that other people cover, from their keypoints.
+"""The region of an image that other people cover: from their keypoints, or from figures in the silhouettes.
 
 What another person covers counts as not seen, whoever is in front: where two silhouettes are one, nobody can tell whose a pixel is. A person is
 drawn as capsules between keypoints, with widths in proportion to the person's size in the image. A capsule is drawn only if both of its keypoints are
-there. The widths are those of dressed people, and a little generous: what is hidden in vain is only a loss, but a bystander's outline pulls.
+there. The widths are those of dressed people, and a little generous: what is hidden in vain is only a loss, but a bystander's outline pulls. Where the
+silhouette is background, nobody is, and nothing is hidden.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,6 +45,10 @@ RADII = {
 }
 # Beyond the wrist a hand continues the forearm by this share of it. A foot of which no toe is there points anywhere: it lies in a disc.
 HAND, FOOT_RADIUS = 0.75, 0.1
+# Pieces of a figure are at most this share of the image's longer side apart.
+GAP = 0.01
+# A figure of less than this share of the largest one, and beside a covered region, is what the region has missed.
+REMNANT = 0.1
 # Farther outside of an image, in sides of it, nothing is drawn.
 FARTHEST = 4
 
@@ -69,6 +74,46 @@ def covered_by(people: Sequence[Mapping[str, Sequence[float]]], size_px: tuple[i
 def uncovered(mask: NDArray[np.bool_], covered: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Return the part of a mask (row, column) that nobody covers."""
     return mask if covered is None else mask & ~covered
+
+
+def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the largest connected part of a mask (row, column), with the pieces that a narrow gap separates from it."""
+    reach = _gap_px(mask)
+    joined = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8))
+    labels = np.asarray(cv2.connectedComponents(joined)[1], np.int32)
+    sizes = np.bincount(labels[mask], minlength=1)
+    return mask & (labels == sizes.argmax())
+
+
+def other_figures(mask: NDArray[np.bool_]) -> Mask | None:
+    """Return the region of all figures of a mask but the largest, with a narrow margin that leaves the largest out; None without others."""
+    largest = largest_figure(mask)
+    others = mask & ~largest
+    return _widened(others) & ~largest if others.any() else None
+
+
+def ambiguous(mask: NDArray[np.bool_], region: NDArray[np.bool_]) -> Mask:
+    """Return the part of a region that other people cover in which a silhouette can be theirs, (row, column).
+
+    What is background in the silhouette shows nobody, so it is seen; but for a narrow margin, because outlines are blurred. Small figures that begin
+    at the region belong to it: tips of shoes, hair and clothes. A hand of the subject's that someone else cuts off is among them, which is a loss.
+    """
+    hidden = region & _widened(mask)
+    visible = mask & ~hidden
+    labels = np.asarray(cv2.connectedComponents(visible.astype(np.uint8))[1], np.int32)
+    sizes = np.bincount(labels[visible], minlength=1)
+    touches = np.bincount(labels[visible & _widened(hidden)], minlength=len(sizes)) > 0
+    remnants = visible & (touches & (sizes < REMNANT * sizes.max()))[labels]
+    return hidden | (_widened(remnants) & ~(visible & ~remnants))
+
+
+def _widened(mask: NDArray[np.bool_]) -> Mask:
+    side = 2 * _gap_px(mask) + 1
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)), np.uint8).view(np.bool_)
+
+
+def _gap_px(mask: NDArray[np.bool_]) -> int:
+    return max(1, round(GAP * max(mask.shape)))
 
 
 def _points(keypoints: Mapping[str, Sequence[float]], size_px: tuple[int, int]) -> dict[str, Point]:

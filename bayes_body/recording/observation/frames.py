@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.observation.covered import covered_by
+from bayes_body.recording.observation.covered import ambiguous, covered_by, other_figures, uncovered
 from bayes_body.recording.observation.pictures import Colours, Greys, check_index, has_picture, read_colour, read_greys
 from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
@@ -36,7 +36,8 @@ class Frame(NamedTuple):
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
     `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. `covered` (row, column) is where they cover its image: not seen,
     for all that reads silhouettes. It is computed on first access, and None for a camera that sees no other person in this frame. All three are None
-    as a whole where no camera sees several people in any frame.
+    as a whole where no camera sees several people in any frame, except that `covered` also has the figures that the session says are not the
+    subject's.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -109,12 +110,15 @@ def read_frame(
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
     keypoints, cameras = _keypoints(session, index, have_image), cameras_at(session, index)
-    candidates, bystanders, covered = (read(session, index, have_image) for read in (_candidates, _bystanders, _covered))
+    candidates, bystanders = _candidates(session, index, have_image), _bystanders(session, index, have_image)
+    covered = _covered(session, index, have_image)
     if not has_silhouettes(session):
         return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
+    if covered is not None or session.segmentation.figures == "largest":
+        covered = _OnDemand([_whole_region(session, covered, masks, camera) for camera in range(len(masks))])
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
 
 
@@ -193,6 +197,23 @@ def _covered(session: Session, index: int, have_image: Sequence[bool]) -> "_OnDe
 def _region(file: KeypointSeries | None, number: int | None, size_px: tuple[int, int]) -> Callable[[], NDArray[np.bool_] | None]:
     # Several likelihoods and measures ask for it.
     return cache(lambda: None if file is None or number is None else covered_by(file.named_bystanders_in(number), size_px))
+
+
+def _whole_region(
+    session: Session, covered: Sequence[NDArray[np.bool_] | None] | None, masks: Sequence[NDArray[np.bool_] | None], camera: int
+) -> Callable[[], NDArray[np.bool_] | None]:
+    """The region that is not seen, as the silhouette shows it."""
+
+    def region() -> NDArray[np.bool_] | None:
+        known, mask = None if covered is None else covered[camera], masks[camera]
+        if mask is None:
+            return known
+        whole = None if known is None else ambiguous(mask, known)
+        # The bystander whom keypoints show may be the largest figure.
+        figures = other_figures(uncovered(mask, whole)) if session.segmentation.figures == "largest" else None
+        return figures if whole is None else whole if figures is None else whole | figures
+
+    return cache(region)
 
 
 class _Picture:

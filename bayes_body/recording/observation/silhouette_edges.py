@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from bayes_body.base.registry import register
 from bayes_body.base.toml.schema import NonNegative, Positive, Schema, Share
 from bayes_body.recording.evidence.silhouette_edges import UNSEEN_SHARE, Levels, SilhouetteEdgeMaps, hide, pack, quantised
-from bayes_body.recording.observation.covered import uncovered
+from bayes_body.recording.observation.covered import largest_figure, uncovered
 from bayes_body.recording.observation.frames import Frame, covered_of, masks_of
 
 
@@ -92,8 +92,6 @@ def _spread_bits(count: int) -> Int[np.ndarray, " number"]:
     return spread
 
 
-# Pieces of a figure are at most this share of the image's longer side apart.
-GAP = 0.01
 # At so many standard deviations, closeness rounds to none in a map of 8 bits (OpenCV's distances are up to 5 % short), and OpenCV's Gaussians end.
 FARTHEST = 4.0
 # A box begins at a multiple of so many columns: OpenCV works on as many at once.
@@ -178,15 +176,6 @@ def surroundings(mask: NDArray[np.bool_], reach_px: float) -> tuple[slice, slice
     margin = math.ceil(reach_px) + 2
     start, stop = max(first_column - margin, 0) // ALIGNED * ALIGNED, first_column + columns + margin
     return slice(max(first_row - margin, 0), first_row + rows + margin), slice(start, -(-stop // ALIGNED) * ALIGNED)
-
-
-def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest connected part of a mask (row, column), with the pieces that a narrow gap separates from it."""
-    reach = max(1, round(GAP * max(mask.shape)))
-    joined = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8))
-    labels = np.asarray(cv2.connectedComponents(joined)[1], np.int32)
-    sizes = np.bincount(labels[mask], minlength=1)
-    return mask & (labels == sizes.argmax())
 
 
 def _uncovered_cells(covered: Sequence[NDArray[np.bool_] | None], columns: int, rows: int) -> Float[np.ndarray, "camera row column"]:

@@ -166,12 +166,13 @@ class InitialTable(Schema):
 
 
 class SegmentationTable(Schema):
-    """`[segmentation]`: how silhouettes are found if there are no masks."""
+    """`[segmentation]`: how silhouettes are found if there are no masks, and which of their figures can be the subject's."""
 
     threshold: Positive = 16.0
     learning_frames: Annotated[Count, Field(le=MOST_LEARNING_FRAMES)] = 200
     shadows: Annotated[bool, Field(strict=True)] = True
     follow_exposure: Annotated[bool, Field(strict=True)] = True
+    figures: Literal["all", "largest"] = "all"
 
 
 class SessionFile(Schema):

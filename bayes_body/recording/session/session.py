@@ -113,19 +113,21 @@ class View:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """How silhouettes are found in a session without masks.
+    """How silhouettes are found in a session without masks, and whose they are.
 
     Attributes:
         threshold: squared Mahalanobis distance from the background at which a pixel is equally likely foreground and background.
         learning_frames: number of evenly spaced frames from which the background is learned.
         shadows: whether darker pixels with the background's colour count as background.
         follow_exposure: whether the image's brightness is first matched to the background's.
+        figures: which figures of a silhouette can be the subject's, masks included. With "largest", each image's others count as not seen.
     """
 
     threshold: float = 16.0
     learning_frames: int = 200
     shadows: bool = True
     follow_exposure: bool = True
+    figures: Literal["all", "largest"] = "all"
 
 
 # For one camera: keypoint name -> (column, row, confidence); pixels, confidence between 0 and 1.

@@ -120,6 +120,10 @@ def test_it_is_the_sum_of_the_pixels_and_of_the_cameras_that_saw_the_frame(x64, 
     half = seen._replace(has_image=jnp.array([False, True]))
     assert log_density(f, scene.pose, half) == pytest.approx(terms[1], rel=1e-9)
     assert log_density(f, scene.pose, seen._replace(has_image=jnp.zeros(2, bool))) == 0
+    # What another person covers is no datum.
+    uncovered = np.random.default_rng(3).random(p.shape) < 0.7
+    visible = np.where(uncovered, np.where(seen.foreground, np.log(p), np.log1p(-p)), 0.0).sum()
+    assert log_density(f, scene.pose, seen._replace(uncovered=jnp.asarray(uncovered))) == pytest.approx(visible, rel=1e-9)
 
 
 def test_probabilities_go_from_false_alarm_to_miss(x64, scene):

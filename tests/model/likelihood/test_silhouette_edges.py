@@ -165,6 +165,16 @@ def test_w_is_9(x64, scene, gamma, least, covered):
     assert found == pytest.approx(expected, rel=1e-10)
 
 
+def test_covered_cells_count_in_neither_area(x64, scene):
+    man, rows = scene("deutscher_31"), np.arange(60)
+    whole = area_of(man.body, man.rig, man.pose, (80, 60))
+    upper = np.broadcast_to((rows < 30)[:, None], (2, 60, 80)).astype(float)
+    halves = [np.asarray(area_of(man.body, man.rig, man.pose, (80, 60), jnp.asarray(half))) for half in (upper, 1 - upper)]
+    assert np.mean(halves, axis=0) == pytest.approx(np.asarray(whole), rel=1e-10)
+    equal = man.maps()._replace(foreground=jnp.asarray(halves[0]), uncovered=jnp.asarray(upper))
+    assert log_likelihood(man, maps=equal, gamma=5.0) == pytest.approx(float(log_likelihood(man)), rel=1e-12)
+
+
 def silhouette_of(man, maps, c) -> jax.Array:
     """The silhouette term of one camera alone."""
     factor = man._replace(rig=jax.tree.map(lambda leaf: leaf[c : c + 1], man.rig)).factor(
