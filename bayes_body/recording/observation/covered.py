@@ -2,8 +2,8 @@
 
 What another person covers counts as not seen, whoever is in front: where two silhouettes are one, nobody can tell whose a pixel is. A person is
 drawn as capsules between keypoints, with widths in proportion to the person's size in the image. A capsule is drawn only if both of its keypoints are
-there. The widths are those of dressed people, and a little generous: what is hidden in vain is only a loss, but a bystander's outline pulls. Where the
-silhouette is background, nobody is, and nothing is hidden.
+there. The widths are those of dressed people, and a little generous: what is hidden in vain is only a loss, but a bystander's outline pulls. Where
+the silhouette is background, nobody is, and nothing is hidden.
 """
 
 from collections.abc import Mapping, Sequence

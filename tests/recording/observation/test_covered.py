@@ -146,6 +146,7 @@ def recording(tmp_path_factory, textured_session):
     width, height = view.camera.size_px
     mask = np.zeros((height, width), bool)
     mask[: height // 2, : width // 8] = mask[: height // 4, -width // 8 :] = True
+    mask[height // 3 : height // 2, width // 2 - 10 : width // 2 + 10] = True  # The other person's torso.
     image = np.random.default_rng(0).integers(60, 120, (height, width), np.uint8)
     for frame in range(2):
         cv2.imwrite(str(folder / f"{frame}.png"), image)
@@ -162,13 +163,15 @@ def recording(tmp_path_factory, textured_session):
 
 def test_frames_of_a_recording_with_other_people(recording):
     session, mask = recording
+    height, width = mask.shape
     first, second = (read_frame(session, index) for index in range(2))
     assert first.covered is not None and first.covered[0] is None
-    assert second.covered[0].shape == mask.shape and second.covered[0].any()
+    assert second.covered[0].shape == mask.shape and second.covered[0][height // 3 : height // 2, width // 2 - 10 : width // 2 + 10].all()
+    assert not second.covered[0][: height // 4].any()
     assert second.covered[0] is second.covered[0]
     alone = replace(session, views=(replace(session.views[0], keypoints=None),))
     assert read_frame(alone, 0).covered is None
     largest = replace(alone, segmentation=Segmentation(figures="largest"))
     (others,) = read_frame(largest, 0).covered
-    assert others[: mask.shape[0] // 4, -mask.shape[1] // 8 :].all() and not others[:, : mask.shape[1] // 8].any()
+    assert others[: height // 4, -width // 8 :].all() and not others[:, : width // 8].any()
     assert load_session(save_session(largest)).segmentation.figures == "largest"
