@@ -48,7 +48,7 @@ HAND, FOOT_RADIUS = 0.75, 0.1
 # Pieces of a figure are at most this share of the image's longer side apart.
 GAP = 0.01
 # A figure of less than this share of the largest one, and beside a covered region, is what the region has missed.
-REMNANT = 0.1
+REMNANT = 0.04
 # Farther outside of an image, in sides of it, nothing is drawn.
 FARTHEST = 4
 
