@@ -1,5 +1,6 @@
 """`bayes-body simulate`: film a captured motion with simulated cameras, as a session with its truth."""
 
+import math
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from bayes_body.recording.readers.rig import Rig
     from bayes_body.recording.session.session import Session
+    from bayes_body.workshop.simulation.session import Bystander
 
     type Landmarks = Mapping[str, np.ndarray]
 
@@ -24,6 +26,8 @@ WALK = "walk"
 WALK_S = 2.0
 # Half an hour at 60 frames a second; many more would not fit into the memory.
 MOST_FRAMES = 100_000
+# A place farther from where the cameras look is in no room.
+FARTHEST_M = 100.0
 
 Mocap = Annotated[str, typer.Argument(help="Motion capture: .amc, .bvh, .c3d, .trc; or `walk`, a walking cycle that ships.", show_default=False)]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write the session into.", show_default=False)]
@@ -62,6 +66,22 @@ TrueMasks = Annotated[bool, typer.Option("--masks", help="Also write the true si
 Background = Annotated[
     Path | None, typer.Option("--background", help="Folder with CAMERA.png, .mp4 ... of your own empty scene.", rich_help_panel=PICTURE)
 ]
+With = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--with",
+        metavar="MOTION[:SUBJECT][@X,Y[,DEGREES]]",
+        help="A further person: a file of motion capture or `walk`, the simulated person, the middle of the path in metres from where the cameras "
+        "look, and a turn; may be repeated. Such as walk:7@0.8,0.5,180.",
+        rich_help_panel=PERSON,
+    ),
+]
+KeypointFiles = Annotated[
+    bool,
+    typer.Option(
+        "--keypoints", help="Also write a detector's keypoints of all people, as OpenPose does, into pose/CAMERA_json.", rich_help_panel=PICTURE
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the room, noise and keypoints.", rich_help_panel=PICTURE)]
 
 
@@ -79,11 +99,13 @@ def simulate(
     subject: SubjectName = "0",
     height: Height = None,
     body: Body = None,
+    with_: With = None,
     clutter: Clutter = 1.0,
     noise: Noise = 1.0,
     segmentation: Segmentation = None,
     masks: TrueMasks = False,
     background: Background = None,
+    keypoints: KeypointFiles = False,
     seed: Seed = 0,
 ) -> None:
     """Film a motion with simulated cameras: videos, empty scenes, calibration, first keypoints and the truth, as a session."""
@@ -97,7 +119,7 @@ def simulate(
 
     if frames is not None and frames > MOST_FRAMES:
         raise input_error("--frames", str(frames), f"at most {MOST_FRAMES}", "give a smaller number")
-    options = Options(clutter, noise, _quality(segmentation), masks, background, seed=seed)
+    options = Options(clutter, noise, _quality(segmentation), masks, background, keypoints=keypoints, seed=seed)
     check_folder(out)
     chosen = _rig(rig, cameras)
     if mocap == WALK:
@@ -109,13 +131,16 @@ def simulate(
     person = build_person(_seed_of(subject), stature if height is None else height)
     landmarks = scaled(landmarks, person.build.height_m / stature)
     landmarks = centred(landmarks, chosen.aim_m) if centre else landmarks
+    frames = len(landmarks["pelvis"])
+    bystanders = [_bystander(text, chosen, frames, _seed_of(subject) + number, number) for number, text in enumerate(with_ or [], 1)]
     truth = {} if body is None else _angles(body, landmarks, chosen.fps)
     title = f"{Path(mocap).stem}, simulated with {chosen.name}"
-    session, remarks = film(landmarks, chosen, person, options, out, title=title, truth=truth, watch=watched("filming"))
+    session, remarks = film(landmarks, chosen, person, options, out, title=title, truth=truth, bystanders=bystanders, watch=watched("filming"))
     for remark in remarks:
         say(f"note: {remark}")
     _draw(session, out)
-    say(f"{size_of(session)}, a person of {person.build.height_m:.2f} m: {out / 'session.toml'}")
+    company = "".join(f", and one of {bystander.person.build.height_m:.2f} m" for bystander in bystanders)
+    say(f"{size_of(session)}, a person of {person.build.height_m:.2f} m{company}: {out / 'session.toml'}")
 
 
 def _quality(text: str | None) -> Literal["good", "poor"] | None:
@@ -151,6 +176,45 @@ def _walk(fps: float, frames: int | None, first: int, seed: int, height: float |
     count = round(WALK_S * fps) if frames is None else frames
     cycle = load_cycle()
     return walk(cycle, max(first + count, 1) / fps, fps, seed=seed, height_m=cycle.height_m if height is None else height)
+
+
+def _bystander(text: str, rig: "Rig", frames: int, seed: int, number: int) -> "Bystander":
+    """Return the person of `--with`, the first of which has number 1."""
+    from bayes_body.workshop.simulation.person import build_person
+    from bayes_body.workshop.simulation.session import Bystander
+    from bayes_body.workshop.simulation.staging import cut, put, stature_m
+
+    motion, subject, place = _parts(text, number)
+    seed = seed if subject is None else _seed_of(subject)
+    tracks = (
+        _walk(rig.fps, frames, 0, seed, build_person(seed).build.height_m) if motion == WALK else _captured(Path(motion), rig.fps, None, None, None)
+    )
+    length = len(tracks["pelvis"])
+    if length < frames:
+        problem = f"{length} frames at the rig's rate"
+        raise input_error(f"--with {text}", problem, f"at least the film's {frames}", "lower --frames, or choose a longer motion")
+    landmarks = put(cut(tracks, 0, frames), rig.aim_m, place)
+    return Bystander(landmarks, build_person(seed, stature_m(landmarks)))
+
+
+def _parts(text: str, number: int) -> tuple[str, str | None, tuple[float, float, float]]:
+    """Return the motion, the subject, and the place (metres, degrees) in a value of `--with`."""
+    expected, remedy = "MOTION[:SUBJECT][@X,Y[,DEGREES]]", "write it like walk:7@0.8,0.5,180"
+    person, at, place = text.rpartition("@")
+    try:
+        numbers = [float(value) for value in place.split(",")] if at else [0.0, float(number), 0.0]
+    except ValueError:
+        raise input_error(f"--with {text}", f"'{place}' is not a place", expected, remedy) from None
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)) or max(map(abs, numbers[:2])) > FARTHEST_M:
+        raise input_error(f"--with {text}", f"'{place}' is not a place", f"{expected}, at most {FARTHEST_M:g} m away", remedy)
+    x, y, degrees = [*numbers, 0.0][:3]
+    motion, colon, subject = (person if at else text).rpartition(":")
+    # In a path of Windows, a folder follows the colon.
+    if not colon or "\\" in subject or "/" in subject:
+        motion, subject = (person if at else text), None
+    if not motion or subject == "":
+        raise input_error(f"--with {text}", "no motion" if not motion else "no subject after the colon", expected, remedy)
+    return motion, subject, (x, y, degrees)
 
 
 def _seed_of(subject: str) -> int:

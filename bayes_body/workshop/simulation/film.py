@@ -1,4 +1,4 @@
-"""Film a person: for each camera and frame, combine the empty scene, the person's shadow on the floor and the person, and apply the sensor.
+"""Film people: for each camera and frame, combine the empty scene, the people's shadows on the floor and the people, and apply the sensor.
 
 The empty scene is a drawn room, or a user's picture.
 """
@@ -20,7 +20,7 @@ from bayes_body.recording.readers.sources import find_background
 from bayes_body.recording.readers.videos.video import probe, read_video_frame, readable_frames
 from bayes_body.recording.session.session import CameraSpec
 from bayes_body.workshop.simulation.options import Options, Quality
-from bayes_body.workshop.simulation.raster import Light, rasterise
+from bayes_body.workshop.simulation.raster import Light, merged, rasterise_people
 from bayes_body.workshop.simulation.raster_shadow import shadow_mask
 from bayes_body.workshop.simulation.scene import EmptyScene, Scene
 from bayes_body.workshop.simulation.scene_room import Clearance, build_room
@@ -47,25 +47,25 @@ class Background:
         return self._scene.look(self._cameras[frame])
 
 
-def backgrounds(rig: Rig, landmarks: Mapping[str, Float[np.ndarray, "frame 3"]], options: Options) -> list[Background]:
-    """The background of each camera.
+def backgrounds(rig: Rig, people: Sequence[Mapping[str, Float[np.ndarray, "frame 3"]]], options: Options) -> list[Background]:
+    """The background of each camera, for the landmarks of the people who are filmed before it.
 
     Raises:
         InputError: a user's picture is missing or has a wrong size, or a moving camera has such a picture.
     """
-    posed = rig.posed(len(landmarks["pelvis"]))
+    posed = rig.posed(len(people[0]["pelvis"]))
     moves = [path is not None for path in rig.path]
     if options.background is None:
         rng = np.random.default_rng((options.seed, 7))
-        scene = Scene(build_room(rng, _clearance(posed, landmarks), options.clutter))
+        scene = Scene(build_room(rng, _clearance(posed, people), options.clutter))
         return [Background(cameras, moved, scene) for cameras, moved in zip(posed, moves, strict=True)]
     return [Background(cameras, moved, _from_picture(options.background, cameras[0], moved)) for cameras, moved in zip(posed, moves, strict=True)]
 
 
-def _clearance(posed: Sequence[Sequence[CameraSpec]], landmarks: Mapping[str, Float[np.ndarray, "frame 3"]]) -> Clearance:
+def _clearance(posed: Sequence[Sequence[CameraSpec]], people: Sequence[Mapping[str, Float[np.ndarray, "frame 3"]]]) -> Clearance:
     frames = _evenly(len(posed[0]), LOOKED_AT)
     cameras = np.array([-camera.rotation.T @ camera.translation_m for path in posed for camera in {id(path[k]): path[k] for k in frames}.values()])
-    points = np.concatenate([track[frames] for track in landmarks.values()])
+    points = np.concatenate([track[frames] for landmarks in people for track in landmarks.values()])
     return Clearance(cameras, points[np.isfinite(points).all(axis=1)])
 
 
@@ -99,12 +99,14 @@ class Picture(NamedTuple):
 
     Attributes:
         image: blue, green, red.
-        true_mask: where the person covers more than half of a pixel.
-        mask: a segmenter's silhouette; None if none was asked for.
+        true_masks: where each person visibly covers more than half of a pixel.
+        true_mask_of_all: where all people together do.
+        mask: a segmenter's silhouette of all people; None if none was asked for.
     """
 
     image: UInt8[np.ndarray, "row column 3"]
-    true_mask: Bool[np.ndarray, "row column"]
+    true_masks: Bool[np.ndarray, "person row column"]
+    true_mask_of_all: Bool[np.ndarray, "row column"]
     mask: Bool[np.ndarray, "row column"] | None
 
 
@@ -115,12 +117,17 @@ class Camera:
         self._posed, self._background, self._sensor, self._key = posed, background, sensor, key
         self._quality: Quality | None = quality
 
-    def take(self, mesh: Mesh, frame: int) -> Picture:
-        """The picture of a frame with the person."""
+    def take(self, meshes: Sequence[Mesh], frame: int) -> Picture:
+        """The picture of a frame with the people."""
         camera, empty = self._posed[frame], self._background.empty(frame)
-        shadow = np.where(empty.floor, shadow_mask(mesh, camera, LIGHT.direction, SHADOW_PX * camera.size_px[0] / AT_COLUMNS), 0)
-        picture, coverage = rasterise(mesh, camera, _darkened(empty.picture, shadow), LIGHT)
-        return Picture(self._sensor.read(picture, frame), coverage > 0.5, self._segment(coverage, shadow, frame))
+        shadow = np.where(empty.floor, shadow_mask(merged(meshes), camera, LIGHT.direction, SHADOW_PX * camera.size_px[0] / AT_COLUMNS), 0)
+        picture, coverages = rasterise_people(meshes, camera, _darkened(empty.picture, shadow), LIGHT)
+        coverage = coverages.sum(axis=0)
+        return Picture(self._sensor.read(picture, frame), coverages > 0.5, coverage > 0.5, self._segment(coverage, shadow, frame))
+
+    def spec(self, frame: int) -> CameraSpec:
+        """The camera in a frame."""
+        return self._posed[frame]
 
     def take_empty(self, frame: int) -> UInt8[np.ndarray, "row column 3"]:
         """The picture without the person. Frames before the recording are negative."""
@@ -168,12 +175,12 @@ class Reel:
         """Write a frame."""
         self._video.add(picture.image)
         for name, pattern in self._masks.items():
-            mask = picture.true_mask if name == TRUE_MASKS else picture.mask
+            mask = {TRUE_MASKS: picture.true_masks[0], TRUE_MASKS_OF_ALL: picture.true_mask_of_all}.get(name, picture.mask)
             if mask is not None:
                 write_mask(pattern, frame, mask)
 
 
-MASKS, TRUE_MASKS = "masks", "true_masks"
+MASKS, TRUE_MASKS, TRUE_MASKS_OF_ALL = "masks", "true_masks", "true_masks_of_all"
 
 
 def mask_pattern(kind: str, name: str) -> str:

@@ -22,6 +22,7 @@ class Options:
         true_masks: whether to write the true silhouettes too.
         background: a folder with an image or a video of the empty scene for each camera, instead of the drawn room.
         keypoint_sd_px: standard deviation of a detector's keypoints in the first frame.
+        keypoints: whether to write a detector's keypoints of all people in all frames.
         seed: the seed of everything random except the person.
     """
 
@@ -31,6 +32,7 @@ class Options:
     true_masks: bool = False
     background: Path | None = None
     keypoint_sd_px: float = 3.0
+    keypoints: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:

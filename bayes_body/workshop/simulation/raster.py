@@ -4,6 +4,7 @@ Light: $c\,(a\,(1 + s\,n_z) + b \max(0, n \cdot l))$ for a reflectance c, a norm
 the mean of sky and floor (Lambert 1760). It is interpolated over a triangle from its corners, whose normals are means over the adjacent triangles.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -65,27 +66,54 @@ def rasterise(
     Returns:
         The picture, and the fraction of each pixel that the mesh covers, 0 to 1; float32.
     """
+    picture, coverages = rasterise_people([mesh], camera, picture, light, supersample)
+    return picture, coverages[0]
+
+
+def rasterise_people(
+    meshes: Sequence[Mesh], camera: CameraSpec, picture: Float[np.ndarray, "row column 3"], light: Light = Light(), supersample: int = 2
+) -> tuple[Float[np.ndarray, "row column 3"], Float[np.ndarray, "person row column"]]:
+    """Draw people over a picture; who is nearer hides who is behind. Arguments are those of `rasterise`, with at least one mesh.
+
+    Returns:
+        The picture, and the fraction of each pixel that each person visibly covers, 0 to 1; float32.
+    """
+    mesh = merged(meshes)
     picture = np.array(picture, np.float32)
-    alpha = np.zeros(picture.shape[:2], np.float32)
+    coverages = np.zeros((len(meshes), *picture.shape[:2]), np.float32)
     visible = facing(mesh, camera)
     window = _window(visible, camera.size_px)
     if window is None:
-        return picture, alpha
+        return picture, coverages
     first_column, top, width, height = window
     size = (width * supersample, height * supersample)
     corners = ((visible.corners - (first_column, top) + 0.5) * supersample - 0.5).astype(np.float32)
     owner, covered = in_front(spans(corners, size), planes(corners, visible.depth), size)
     # The window has a margin, and a small or distant mesh may lie between the samples.
     if not covered.any():
-        return picture, alpha
+        return picture, coverages
     shade = _shaded(mesh, visible.number, light)
     samples = _painted(owner, covered, planes(corners, shade), mesh.colours[visible.number])
     pixels = cv2.resize(samples, (width, height), interpolation=cv2.INTER_AREA)
-    alpha[top : top + height, first_column : first_column + width] = pixels[..., 3]
+    region = coverages[:, top : top + height, first_column : first_column + width]
+    if len(meshes) == 1:
+        region[0] = pixels[..., 3]
+    else:
+        person = np.repeat(np.arange(len(meshes)), [len(single.faces) for single in meshes])[visible.number]
+        for number, coverage in enumerate(region):
+            samples_of_person = (covered & (person[owner] == number)).astype(np.float32)
+            coverage[:] = cv2.resize(samples_of_person, (width, height), interpolation=cv2.INTER_AREA)
     part = picture[top : top + height, first_column : first_column + width]
     part *= 1.0 - pixels[..., 3:]
     part += pixels[..., :3]
-    return picture, alpha
+    return picture, coverages
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)])
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), faces, np.concatenate([mesh.colours for mesh in meshes]))
 
 
 def facing(mesh: Mesh, camera: CameraSpec) -> Facing:

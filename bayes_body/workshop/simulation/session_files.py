@@ -1,8 +1,9 @@
-"""Write files of a simulated session: videos, silhouettes, the calibration in Pose2Sim's format, moving cameras' extrinsics, and the truth.
+"""Write files of a simulated session: videos, silhouettes, keypoints, calibration as Pose2Sim has it, extrinsics of moving cameras, and the truth.
 
 Videos are MPEG-4 in .mp4, which every OpenCV can write; silhouettes are numbered. Failures raise an InputError.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,8 @@ from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.atomic import make_folder, replacing, write_text
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.images import SILENT
+from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
+from bayes_body.recording.readers.keypoints.series import MARKERS as MARKERS_OF_POINTS
 from bayes_body.recording.session.session import CameraSpec
 
 # Where Pose2Sim expects a project's calibration.
@@ -93,6 +96,31 @@ def write_extrinsics(path: Path, cameras: Sequence[CameraSpec]) -> None:
         np.savez(
             partial, rotation=np.stack([camera.rotation for camera in cameras]), translation_m=np.stack([camera.translation_m for camera in cameras])
         )
+
+
+# The layout whose points include all markers.
+LAYOUT = "HALPE_26"
+
+
+def write_detections(folder: Path, name: str, frame: int, people: Float[np.ndarray, "detection 15 3"]) -> None:
+    """Write the detections of a camera in a frame as OpenPose writes them, in the order `LAYOUT`.
+
+    Args:
+        folder: the camera's folder, which exists.
+        name: the camera's name.
+        frame: the frame number.
+        people: column, row, confidence of the markers; NaN where not detected.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    points = [MARKERS_OF_POINTS.get(point, point) for point in LAYOUTS[LAYOUT]]
+    rows = np.zeros((len(people), len(points), 3))
+    for column, point in enumerate(points):
+        if point in MARKERS:
+            rows[:, column] = np.nan_to_num(people[:, MARKERS.index(point)]).round(3)
+    persons = [{"person_id": [-1], "pose_keypoints_2d": row.ravel().tolist()} for row in rows]
+    write_text(folder / f"{name}_{frame:012d}_keypoints.json", json.dumps({"version": 1.3, "people": persons}))
 
 
 CODEC = "mp4v"

@@ -52,6 +52,20 @@ def centred(landmarks: Landmarks, aim_m: Float[np.ndarray, "3"]) -> dict[str, Fl
     return {name: track + shift for name, track in landmarks.items()}
 
 
+def put(landmarks: Landmarks, aim_m: Float[np.ndarray, "3"], place: tuple[float, float, float]) -> dict[str, Float[np.ndarray, "frame 3"]]:
+    """The motion at a place of the floor: turned about the vertical, and the middle of the pelvis's path moved.
+
+    Args:
+        landmarks: the motion.
+        aim_m: the point that the cameras look at.
+        place: x and y from that point, metres, and the turn from x towards y, degrees.
+    """
+    x, y, degrees = place
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return centred({name: np.asarray(track, np.float64) @ R.T for name, track in landmarks.items()}, aim_m + np.array([x, y, 0.0]))
+
+
 def cut(landmarks: Landmarks, first: int, frames: int | None) -> dict[str, Float[np.ndarray, "left 3"]]:
     """`frames` frames of the motion from `first` on; all remaining ones if no number is given.
 

@@ -15,6 +15,8 @@ from bayes_body.recording.session.session import CameraSpec
 NEAR_M = 0.1
 # A camera sees the person if it sees this many of the 15 markers. It is useful if it does so in this fraction of the frames.
 SEEN_MARKERS, LEAST_SHARE = 8, 0.1
+# A detector misses a person of whom fewer markers are visible.
+DETECTED_MARKERS = 5
 # A detector's confidence: for a point without error, its loss per standard deviation of error, and its own standard deviation.
 CONFIDENCE, LOST_A_SD, CONFIDENCE_SD, LEAST_CONFIDENCE = 0.95, 0.06, 0.04, 0.3
 
@@ -61,6 +63,36 @@ def check_visibility(rig: Rig, markers: Float[np.ndarray, "frame marker 3"]) -> 
     if faults:
         raise FaultyFileError(faults)
     return remarks
+
+
+def detect_people(
+    rng: np.random.Generator,
+    camera: CameraSpec,
+    people: Float[np.ndarray, "person 15 3"],
+    masks: Bool[np.ndarray, "person row column"],
+    sd_px: float,
+) -> Float[np.ndarray, "detection 15 3"]:
+    """Detections of people in one frame, in random order: column, row, confidence of the markers; NaN where a marker is not detected.
+
+    A marker is not detected where another person is in front of it, and a person with fewer than `DETECTED_MARKERS` is missing.
+
+    Args:
+        rng: for errors and order.
+        camera: the camera.
+        people: true markers, metres.
+        masks: where each person is visible.
+        sd_px: standard deviation of the errors, pixels.
+    """
+    detections = []
+    for number, markers in enumerate(people):
+        keypoints = detected(rng, camera, dict(zip(MARKERS, markers, strict=True)), sd_px)
+        detection = np.array([keypoints.get(name, (np.nan,) * 3) for name in MARKERS])
+        hidden = np.delete(masks, number, axis=0).any(axis=0)
+        column, row = np.clip(np.rint(np.nan_to_num(pixels(camera, markers)[0])), 0, np.array(camera.size_px) - 1).astype(int).T
+        detection[hidden[row, column]] = np.nan
+        if np.isfinite(detection[:, 0]).sum() >= DETECTED_MARKERS:
+            detections.append(detection)
+    return np.array(detections)[rng.permutation(len(detections))].reshape(-1, len(MARKERS), 3)
 
 
 def detected(
