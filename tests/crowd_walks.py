@@ -1,6 +1,5 @@
 """Films without pictures of several people in `room_4`, and what a keypoint network writes of them: people in random order, and its usual errors."""
 
-import json
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -11,14 +10,15 @@ from keypoint_walks import RIG, Network, Person, person_of, seen_by
 
 from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.recording.evidence.markers import MARKERS
-from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
-from bayes_body.workshop.simulation.session_files import CALIBRATION, write_calibration
+from bayes_body.workshop.simulation.options import Options
+from bayes_body.workshop.simulation.person import build_person
+from bayes_body.workshop.simulation.session import Bystander, simulate
+from bayes_body.workshop.simulation.session_files import CALIBRATION, write_calibration, write_detections
+from bayes_body.workshop.simulation.staging import put, stature_m
 from bayes_body.workshop.simulation.visibility import pixels
 
-# The layout whose points include all markers; MARKERS' names for its points.
-LAYOUT, POINTS = "HALPE_26", {"neck": "thorax", "mid_hip": "pelvis"}
 # Two markers and the radius of the part between them, metres: what hides somebody behind.
 PARTS = (
     *(("pelvis", "thorax", 0.15), ("thorax", "head", 0.09), ("l_shoulder", "r_shoulder", 0.10), ("l_hip", "r_hip", 0.12)),
@@ -324,24 +324,15 @@ def write_project(folder, film, network=CrowdNetwork(), seed=0):
     folder, detections = Path(folder), detect(film, network, seed)
     write_calibration(folder / CALIBRATION, film.rig.cameras)
     for camera, points in zip(film.rig.cameras, detections.points, strict=True):
-        write_openpose(folder / "pose" / f"{camera.name}_json", camera.name, points)
+        place = folder / "pose" / f"{camera.name}_json"
+        place.mkdir(parents=True)
+        for frame, people in enumerate(points):
+            write_detections(place, camera.name, frame, people)
         _write_blanks(folder / "videos" / camera.name, camera.size_px, len(points))
     for person in film.members:
         markers = np.where(person.present[:, None, None], person.person.markers, np.nan)
         np.savez(folder / f"truth_person_{person.number}.npz", markers=markers, names=np.array(MARKERS))
     return detections
-
-
-def write_openpose(folder, name, points):
-    """Write the detections of a camera, (detection, 15, 3) in each frame, as OpenPose writes them, in the order `LAYOUT`."""
-    folder.mkdir(parents=True)
-    columns = [(k, MARKERS.index(POINTS.get(point, point))) for k, point in enumerate(LAYOUTS[LAYOUT]) if POINTS.get(point, point) in MARKERS]
-    targets, sources = np.array(columns).T
-    for frame, people in enumerate(points):
-        rows = np.zeros((len(people), len(LAYOUTS[LAYOUT]), 3))
-        rows[:, targets] = np.nan_to_num(people[:, sources]).round(3)
-        persons = [{"person_id": [-1], "pose_keypoints_2d": row.ravel().tolist()} for row in rows]
-        (folder / f"{name}_{frame:012d}_keypoints.json").write_text(json.dumps({"version": 1.3, "people": persons}))
 
 
 def _write_blanks(folder, size_px, frames):
@@ -351,3 +342,22 @@ def _write_blanks(folder, size_px, frames):
     cv2.imwrite(str(folder / "000000.png"), np.arange(width * height).astype(np.uint8).reshape(height, width))
     for frame in range(1, frames):
         os.link(folder / "000000.png", folder / f"{frame:06d}.png")
+
+
+# From the person to the bystander, metres: along the line of sight of C1 and C3, and a little across, so that outlines touch in these views only.
+BESIDE_M = (0.98, 0.52)
+
+
+def touching_session(folder, frames=60, seed=0, company=True):
+    """A filmed session of a person whose outline a bystander touches in the views of C1 and C3; without the bystander if there is no company.
+
+    Silhouettes are a good segmenter's, of both people; true_masks are the person's.
+    """
+    rig = Film(()).rig
+    people = []
+    for number, place in enumerate(((0.0, 0.0, 0.0), (*BESIDE_M, 0.0))):
+        landmarks = put(stroll(frames, 2 * seed + number), rig.aim_m, place)
+        people.append(Bystander(landmarks, build_person(2 * seed + number + 3, stature_m(landmarks))))
+    options = Options(segmentation="good", true_masks=True, seed=seed)
+    bystanders = people[1:] if company else []
+    return simulate(people[0].landmarks, rig, people[0].person, options, Path(folder), bystanders=bystanders)[0]

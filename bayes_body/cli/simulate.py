@@ -200,18 +200,18 @@ def _bystander(text: str, rig: "Rig", frames: int, seed: int, number: int) -> "B
 def _parts(text: str, number: int) -> tuple[str, str | None, tuple[float, float, float]]:
     """Return the motion, the subject, and the place (metres, degrees) in a value of `--with`."""
     expected, remedy = "MOTION[:SUBJECT][@X,Y[,DEGREES]]", "write it like walk:7@0.8,0.5,180"
-    person, at, place = text.rpartition("@")
+    person, sign, place = text.rpartition("@")
     try:
-        numbers = [float(value) for value in place.split(",")] if at else [0.0, float(number), 0.0]
+        numbers = [float(value) for value in place.split(",")] if sign else [0.0, float(number), 0.0]
     except ValueError:
         raise input_error(f"--with {text}", f"'{place}' is not a place", expected, remedy) from None
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)) or max(map(abs, numbers[:2])) > FARTHEST_M:
         raise input_error(f"--with {text}", f"'{place}' is not a place", f"{expected}, at most {FARTHEST_M:g} m away", remedy)
     x, y, degrees = [*numbers, 0.0][:3]
-    motion, colon, subject = (person if at else text).rpartition(":")
+    motion, colon, subject = (person if sign else text).rpartition(":")
     # In a path of Windows, a folder follows the colon.
     if not colon or "\\" in subject or "/" in subject:
-        motion, subject = (person if at else text), None
+        motion, subject = (person if sign else text), None
     if not motion or subject == "":
         raise input_error(f"--with {text}", "no motion" if not motion else "no subject after the colon", expected, remedy)
     return motion, subject, (x, y, degrees)

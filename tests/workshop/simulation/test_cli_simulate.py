@@ -9,6 +9,8 @@ from workshop.simulation.walker import FPS, walker
 from bayes_body.base.errors import InputError
 from bayes_body.cli import simulate as verb
 from bayes_body.recording.evidence.markers import MARKERS
+from bayes_body.recording.readers.images import read_mask
+from bayes_body.recording.readers.keypoints.openpose import read_people
 from bayes_body.recording.readers.truth import read_truth
 from bayes_body.recording.session.read import load_session
 from bayes_body.workshop.simulation.staging import stature_m
@@ -75,6 +77,21 @@ def test_the_walk_that_ships_is_filmed(run, tmp_path):
     assert 0.3 < np.linalg.norm(markers[3, 0] - markers[0, 0]) * 20 < 2.5
 
 
+def test_two_people_hide_each_other_and_the_detector_sees_who_is_in_front(run, tmp_path):
+    """From C1 the first person hides one who is right behind; from C2 both are seen."""
+    out = tmp_path / "s"
+    run("walk", "--out", out, "--cameras", "C1,C2", "--frames", 2, "--clutter", 0, "--masks", "--keypoints", "--with", "walk:0@-0.68,-0.577")
+    assert read_truth(out / "truth_person_2.npz", 2).shape == read_truth(out / "truth.npz", 2).shape
+    counts = {}
+    for name in ("C1", "C2"):
+        first, everyone = (read_mask(out / kind / name / "000001.png") for kind in ("true_masks", "true_masks_of_all"))
+        assert (everyone | ~first).all()
+        people = read_people(out / "pose" / f"{name}_json" / f"{name}_000000000001_keypoints.json")
+        counts[name] = everyone.sum() / first.sum(), np.isfinite(people[..., 0]).sum()
+    assert counts["C1"][0] < 1.5 < counts["C2"][0]
+    assert counts["C1"][1] < 25 < counts["C2"][1] == 30
+
+
 def test_a_name_is_always_the_same_person():
     assert verb._seed_of("12") == 12
     assert verb._seed_of("anna") == verb._seed_of("anna") != verb._seed_of("Anna")
@@ -92,6 +109,8 @@ def test_a_name_is_always_the_same_person():
         (("--height", "18"), "height: 18 m"),
         (("--noise", "9"), "--noise: 9; expected 0 to 5"),
         (("--no-centre",), "camera 'C1': sees the person in 0 of 12 frames; expected a camera that sees the person, who is around (5."),
+        (("--with", "walk@here"), "--with walk@here: 'here' is not a place; expected MOTION[:SUBJECT][@X,Y[,DEGREES]]"),
+        (("--with", ":3"), "--with :3: no motion"),
         (("--background", "nowhere"), "--background nowhere: no image or video for camera 'C1'"),
     ],
 )
