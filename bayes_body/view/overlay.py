@@ -27,8 +27,9 @@ from bayes_body.recording.session.session import Session, View
 from bayes_body.results.metrics.fit import Outline, outlines, seen_in
 from bayes_body.results.posterior import CentralPose, central_pose, equal_weight_poses
 from bayes_body.results.posterior.weighted import settled
+from bayes_body.results.storage.names import OVERLAY_FILE, OVERLAY_FOLDER
 from bayes_body.tracking.draws import Draws, FrameResult
-from bayes_body.view.colours import bgr, over_image
+from bayes_body.view.colours import Colour, bgr, over_image
 from bayes_body.view.video import h264_video
 from bayes_body.view.windows import EMPTY, STILL_HEIGHT, TILE_HEIGHT, Window, grid, person_windows
 
@@ -39,10 +40,12 @@ if TYPE_CHECKING:
 INSIDE, MEAN, DRAW, LIGHTER = 0.15, 0.75, 0.3, 0.55
 # How far a line may reach beyond its corners, pixels.
 LINE_PX = 4
-VIDEO = "overlay.mp4"
+VIDEO = OVERLAY_FILE
 # The most frames of the video. A frame of four cameras takes 0.1 s and 40 kB or more: 20 minutes at 60 Hz would take two hours.
 MOST_PICTURES = 9000
 FAN = 20
+# Size of OpenCV's letters in a tile of the video.
+FONT = 0.6
 STILLS = 5
 MEDOID = "\nmedoid, not the mean"
 CAMERAS = "use fewer cameras, and check their size_px"
@@ -63,8 +66,8 @@ def draw_overlay(session: Session, draws: Draws, folder: Path, watch: Watch = un
         InputError: the folder cannot be written, or an image of the session is missing.
     """
     frames = frames_drawn(len(draws.frames))
-    stills = _stills(folder, frames, session.first_frame)
-    remove_partial(make_folder(folder / "overlay"))
+    stills = still_paths(folder / OVERLAY_FOLDER, frames, session.first_frame)
+    remove_partial(make_folder(folder / OVERLAY_FOLDER))
     # What is known at the end about the body and the cameras, so that the windows do not jump.
     model = settled(draws.model, draws.frames[len(draws.frames) - 1])
     central = [central_of(draws.frames[index], model.body) for index in frames]
@@ -96,9 +99,10 @@ def central_of(result: FrameResult, body: Body) -> CentralPose:
     return central_pose(body, poses.reshape(-1, *poses.shape[2:]), weights.ravel())
 
 
-def _stills(folder: Path, frames: range, first: int) -> dict[int, Path]:
+def still_paths(folder: Path, frames: range, first: int = 0) -> dict[int, Path]:
+    """Return the files of at most STILLS evenly spaced stills, by their frames; `first` is the number of frame 0."""
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(STILLS, len(frames))).round().astype(int))
-    return {frames[place]: folder / "overlay" / f"frame_{first + frames[place]:06d}.png" for place in chosen.tolist()}
+    return {frames[place]: folder / f"frame_{first + frames[place]:06d}.png" for place in chosen.tolist()}
 
 
 def _fan(result: FrameResult, index: int, variable: str) -> Float[np.ndarray, "draw *shape"]:
@@ -151,13 +155,20 @@ def backdrop(session: Session, index: int, view: View) -> tuple[MatLike, str]:
     return np.full((height, width, 3), EMPTY, np.uint8), "\nno image"
 
 
-def paint(image: MatLike, strong: list[Outline], fan: Sequence[list[Outline]]) -> MatLike:
-    """Return the colour image with a translucent body under thin outlines. Where many outlines agree, they add up to a strong line."""
-    picture = image.copy()
-    _blend(picture, INSIDE, strong, _fill)
-    _blend(picture, MEAN, strong, partial(_draw, thickness=2))
+def paint(image: MatLike, strong: list[Outline], fan: Sequence[list[Outline]], ink: Colour | None = None) -> MatLike:
+    """Return the colour image with a translucent body under thin outlines. Where many outlines agree, they add up to a strong line.
+
+    Args:
+        image: blue, green, red.
+        strong: the body.
+        fan: outlines of draws.
+        ink: the one colour of the person, red, green, blue; by default parts have the colours of their sides.
+    """
+    picture, inks = image.copy(), colour if ink is None else lambda part: bgr(ink)
+    _blend(picture, INSIDE, strong, partial(_fill, inks=inks))
+    _blend(picture, MEAN, strong, partial(_draw, inks=inks, thickness=2))
     for body in fan:
-        _blend(picture, DRAW, body, partial(_draw, thickness=1, lighter=LIGHTER))
+        _blend(picture, DRAW, body, partial(_draw, inks=inks, thickness=1, lighter=LIGHTER))
     return picture
 
 
@@ -176,14 +187,14 @@ def _blend(picture: MatLike, opacity: float, parts: list[Outline], draw: Callabl
         region[:] = cv2.addWeighted(layer, opacity, region, 1 - opacity, 0)
 
 
-def _fill(picture: MatLike, parts: list[Outline]) -> None:
+def _fill(picture: MatLike, parts: list[Outline], inks: Callable[[str], Colour]) -> None:
     for outline in parts:
-        cv2.fillConvexPoly(picture, _fixed(outline), colour(outline.part), cv2.LINE_AA, shift=4)
+        cv2.fillConvexPoly(picture, _fixed(outline), inks(outline.part), cv2.LINE_AA, shift=4)
 
 
-def _draw(picture: MatLike, parts: list[Outline], thickness: int, lighter: float = 0.0) -> None:
+def _draw(picture: MatLike, parts: list[Outline], inks: Callable[[str], Colour], thickness: int, lighter: float = 0.0) -> None:
     for outline in parts:
-        ink = tuple(round(level + lighter * (255 - level)) for level in colour(outline.part))
+        ink = tuple(round(level + lighter * (255 - level)) for level in inks(outline.part))
         cv2.polylines(picture, [_fixed(outline)], True, ink, thickness, cv2.LINE_AA, shift=4)
 
 
@@ -200,12 +211,22 @@ def colour(part: str) -> tuple[int, int, int]:
 
 def label(picture: MatLike, text: str) -> MatLike:
     """Return the picture with lines of text in its upper left corner, larger in a picture that is taller than a tile of the video."""
-    scale = max(1.0, 0.7 * picture.shape[0] / TILE_HEIGHT)
+    scale = text_scale(picture)
     for row, line in enumerate(text.splitlines()):
-        place = round(10 * scale), round((24 + 22 * row) * scale)
-        for thickness, ink in ((4, (0, 0, 0)), (1, (255, 255, 255))):
-            cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, ink, round(thickness * scale), cv2.LINE_AA)
+        write_text(picture, line, (round(10 * scale), round((24 + 22 * row) * scale)))
     return picture
+
+
+def text_scale(picture: MatLike) -> float:
+    """Return how much larger text is in a picture than in a tile of the video."""
+    return max(1.0, 0.7 * picture.shape[0] / TILE_HEIGHT)
+
+
+def write_text(picture: MatLike, line: str, place: tuple[int, int], ink: Colour = (255, 255, 255), stroke: int = 1) -> None:
+    """Write a line with a black edge into a picture; `place` is the (column, row) of its lower left corner, the ink blue, green, red."""
+    scale = text_scale(picture)
+    for thickness, layer_ink in ((stroke + 3, (0, 0, 0)), (stroke, ink)):
+        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, FONT * scale, layer_ink, round(thickness * scale), cv2.LINE_AA)
 
 
 def write_png(path: Path, picture: MatLike) -> None:

@@ -81,14 +81,25 @@ def person_windows(session: Session, model: Model, poses: Float[np.ndarray, "fra
         InputError: a moving camera's file cannot be read.
     """
     frames = range(len(poses)) if frames is None else frames
-    boxes = np.stack([_boxes(session, seen_in(model, session, index), pose) for index, pose in zip(frames, poses, strict=True)])
+    boxes = np.stack([body_boxes(session, seen_in(model, session, index), pose) for index, pose in zip(frames, poses, strict=True)])
+    return windows_around(session, boxes, frames.step)
+
+
+def windows_around(session: Session, boxes: Float[np.ndarray, "frame camera 2 2"], step: int = 1) -> list[Window]:
+    """Return, for each camera, a window that contains a box in every frame.
+
+    Args:
+        session: the recording.
+        boxes: smallest and largest (column, row) of what is shown, such as those of `body_boxes`; NaN in a frame without it.
+        step: number of the recording's frames from one frame of the boxes to the next.
+    """
     sizes = [np.array(view.camera.size_px, float) for view in session.views]
-    paths = [_followed(boxes[:, c], size, session.fps / frames.step) for c, size in enumerate(sizes)]
+    paths = [_followed(boxes[:, c], size, session.fps / step) for c, size in enumerate(sizes)]
     shape = float(np.clip(np.median([width / height for _, (width, height) in paths]), *SHAPES))
     return [_window(centres, needed, size, shape) for (centres, needed), size in zip(paths, sizes, strict=True)]
 
 
-def _boxes(session: Session, model: Model, pose: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "camera 2 2"]:
+def body_boxes(session: Session, model: Model, pose: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "camera 2 2"]:
     """Return the smallest and largest (column, row) of the body inside each image; NaN if no part of it is there."""
     boxes = np.full((len(session.views), 2, 2), np.nan)
     for c, parts in enumerate(outlines(model, pose)):

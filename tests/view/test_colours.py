@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayes_body
-from bayes_body.view.colours import OVER_IMAGE, RUN_LINES, SIDES, side_of
+from bayes_body.view.colours import OVER_IMAGE, PEOPLE, RUN_LINES, SIDES, side_of
 
 PACKAGE = Path(bayes_body.__file__).parent
 CHOICE = re.compile(r"""["'](\#[0-9a-fA-F]{3,8}|C\d|tab:\w+|0\.\d+)["']|cmap=["']|colou?r=["'](?!white|black|none)""")
@@ -35,6 +35,13 @@ def test_sides_differ_for_all_people(people):
         left, right, middle = (lab(SEEN[people] @ linear(colour)) for colour in colours)
         assert np.linalg.norm(left - right) > 90
         assert min(np.linalg.norm(left - middle), np.linalg.norm(right - middle)) > 30
+
+
+@pytest.mark.parametrize("people", SEEN)
+def test_tracked_people_differ_for_all_people(people):
+    for colours in ([tuple(bytes.fromhex(ink[1:])) for ink, _ in PEOPLE], [colour for _, colour in PEOPLE]):
+        places = [lab(SEEN[people] @ linear(colour)) for colour in colours]
+        assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(places, 2)) > 20
 
 
 def linear(colour):

@@ -6,6 +6,8 @@ RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, FRAMES_FOLDER = "run.toml
 # In the folder of the frames: the index of those whose draws are in the posterior.
 INDEX_FILE = "index.npz"
 OVERLAY_FILE, OVERLAY_FOLDER = "overlay.mp4", "overlay"
+# Pages of several people of one recording, in the folder that holds their runs; their video there has the name of a run's.
+PEOPLE_REPORT_FILE, PEOPLE_VIEW_FILE = "people.html", "people_3d.html"
 # The delay of each frame that was tracked while the session was recorded.
 DELAYS_FILE = "live.csv"
 # Everything that a run writes, except its settings and its lock.
