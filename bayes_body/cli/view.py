@@ -14,9 +14,9 @@ MOST_DRAWS = 1000
 
 
 def view(
-    run: Path = typer.Argument(help="Folder of a run made by `bayes-body track`."),
-    out: Path | None = typer.Option(None, "--out", help="The file; view.html in the run's folder by default."),
-    draws: int = typer.Option(50, "--draws", help=f"Draws from the posterior of each frame, 0 to {MOST_DRAWS}."),
+    runs: list[Path] = typer.Argument(help="Folder of a run made by `bayes-body track`; or those of several people of one recording, in one scene."),
+    out: Path | None = typer.Option(None, "--out", help="The file; view.html in the run's folder by default, people_3d.html for several people."),
+    draws: int = typer.Option(50, "--draws", help=f"Draws from the posterior of each frame, 0 to {MOST_DRAWS}; several people share them."),
     frames: str | None = typer.Option(None, "--frames", help="First and last frame, such as 100-250, or how many, evenly spaced; all by default."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace an existing file even if it is not a view of this program."),
     open_: bool = typer.Option(False, "--open", help="Open the file in the browser."),
@@ -29,14 +29,21 @@ def view(
     from bayes_body.base.progress import watched
     from bayes_body.results.storage.run_file import check_plugins
     from bayes_body.results.storage.saved_run import load_run
-    from bayes_body.view.viewer import write_view
+    from bayes_body.view.people import open_people
+    from bayes_body.view.viewer import write_people_view, write_view
 
     if not 0 <= draws <= MOST_DRAWS:
         raise input_error("--draws", f"{draws}", f"a number from 0 to {MOST_DRAWS}", "give another number")
-    with own_terms(plugin), load_run(run) as saved:
-        check_plugins(saved.folder, saved.plugins)
-        shown = chosen(frames, saved.frames, saved.first_frame)
-        path, remarks = write_view(saved, out, draws, shown, watched("view"), overwrite)
+    with own_terms(plugin):
+        if len(runs) > 1:
+            with open_people(runs) as people:
+                shown = chosen(frames, len(people.frames), people.frames.start)
+                path, remarks = write_people_view(people, out, draws, shown, watched("view"), overwrite)
+        else:
+            with load_run(runs[0]) as saved:
+                check_plugins(saved.folder, saved.plugins)
+                shown = chosen(frames, saved.frames, saved.first_frame)
+                path, remarks = write_view(saved, out, draws, shown, watched("view"), overwrite)
     for remark in remarks:
         say(remark)
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.")

@@ -15,7 +15,7 @@ from bayes_body.view.export.motion import lost_frames
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.viewer.motion import LARGEST, Budget, read_poses
 from bayes_body.view.viewer.recording import Recording, read_recording
-from bayes_body.view.viewer.scene import Scene, deaf_server, look_at
+from bayes_body.view.viewer.scene import Figure, Scene, deaf_server, look_at
 
 if TYPE_CHECKING:
     from bayes_body.results.storage.saved_run import SavedRun
@@ -69,7 +69,7 @@ def write_view(
     step = budget.step(len(frames))
     while True:
         shown = frames[::step]
-        remarks = [*_lost(run, frames), *_thinned(run, frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
+        remarks = [*lost_sentence(run, frames), *_thinned(run, frames, step), *([SEEKER] if run.mode_seeker else []), *recording.missing]
         page = _page(run, recording, shown, draws, budget.side(len(shown)), remarks, watch)
         if len(page.encode()) < LARGEST or len(shown) == 1:
             break
@@ -79,7 +79,8 @@ def write_view(
     return path, remarks
 
 
-def _lost(run: "SavedRun", frames: range) -> Iterator[str]:
+def lost_sentence(run: "SavedRun", frames: range) -> Iterator[str]:
+    """Yield a sentence that names the lost frames, if there are any."""
     lost = lost_frames(run)
     if lost[frames].any():
         yield f"{frame_ranges([run.first_frame + frame for frame in frames if lost[frame]]).capitalize()}: lost, or the body is off the person."
@@ -100,8 +101,9 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
     body, fps, up = run.settled_model.body, run.fps, run.session.up
     # The first look needs the whole path. The budget keeps all of this small.
     poses = list(read_poses(run, frames, draws))
+    figure = Figure(body)
     with deaf_server() as server:
-        scene = Scene(server.scene, body, up, look := look_at(poses, [view.camera for view in recording.session.views], up))
+        scene = Scene(server.scene, up, look := look_at(poses, [view.camera for view in recording.session.views], up))
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = look.eye, look.middle, look.fov
         record = server.get_scene_serializer()
@@ -110,39 +112,40 @@ def _page(run: "SavedRun", recording: Recording, frames: range, draws: int, side
             evidence = recording.frame(frames[place], side)
             has_truth, has_keypoints = has_truth or bool(len(evidence.truth)), has_keypoints or bool(len(evidence.keypoints))
             medoid_note = "" if poses[place].is_mean else ", medoid"
-            scene.show(poses[place], evidence, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{medoid_note}")
+            scene.show([(figure, poses[place])], evidence, f"frame {run.first_frame + frames[place]}, {frames[place] / fps:.2f} s{medoid_note}")
             if len(frames) > 1:
                 record.insert_sleep(frames.step / fps)
         html = record.as_html()
     medoids = sum(not pose.is_mean for pose in poses)
     sentences = [MEDOID.format(count=medoids, frames=len(poses))] if medoids else []
-    return _filled(html, run, _text(run, draws, has_truth, has_keypoints, [*sentences, *remarks]))
+    text = _text(run, draws, has_truth, has_keypoints, [*sentences, *remarks])
+    return filled(html, f"{run.folder.resolve().name} in 3D", text)
 
 
 def _text(run: "SavedRun", draws: int, has_truth: bool, has_keypoints: bool, remarks: Sequence[str]) -> Markup:
     sides = {side_of(name): over_image(name) for name in run.model.body.topology.names}
     layers = [
-        *(tag("li", _dot(sides[side]), f"mean body, {name}{' side' if side else ''}") for side, name in NAMES.items() if side in sides),
+        *(tag("li", dot(sides[side]), f"mean body, {name}{' side' if side else ''}") for side, name in NAMES.items() if side in sides),
         *([tag("li", f"Lines: {draws} draws from the posterior of each frame. A line is the axis of a part.")] if draws else []),
-        *([tag("li", _dot(TRUTH), "true markers")] if has_truth else []),
-        *([tag("li", _dot(KEYPOINTS), "keypoints, triangulated")] if has_keypoints else []),
+        *([tag("li", dot(TRUTH), "true markers")] if has_truth else []),
+        *([tag("li", dot(KEYPOINTS), "keypoints, triangulated")] if has_keypoints else []),
     ]
     made = f"{run.session.title}: model {run.settings['model']}, kernel {run.kernel['kind']}"
     axes = "World axes: x red, y green, z blue. Tiles of the floor: 1 m."
     return joined([tag("p", made), tag("ul", *layers, tag("li", axes)), *(tag("p", remark) for remark in remarks), tag("p", CONTROLS, class_="soft")])
 
 
-def _dot(ink: Colour) -> Markup:
+def dot(ink: Colour) -> Markup:
+    """Return a disc of a colour."""
     return tag("i", style=f"background: rgb{ink}")
 
 
-def _filled(html: str, run: "SavedRun", text: Markup) -> str:
+def filled(html: str, title: str, text: Markup) -> str:
     """Return viser's page with its mark, its policy and its title at the top, and the text at the end.
 
     Raises:
         InputError: viser's page has another form.
     """
-    title = f"{run.folder.resolve().name} in 3D"
     policy = tag("meta", content=POLICY, **{"http-equiv": "Content-Security-Policy"}).removesuffix("</meta>")
     head = f"<head>\n{MARK.decode()}\n{policy}"
     template = Template(files(__package__).joinpath("page.html").read_text(encoding="utf-8"))

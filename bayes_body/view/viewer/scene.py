@@ -40,6 +40,8 @@ QUALITY = 60
 DISTANCE, BESIDE, ABOVE = 2.3, math.radians(60), math.radians(15)
 # Metres in front of the path's middle, where the time stands.
 FRONT = 0.7
+# Metres from the origin of the highest part to a person's name.
+ABOVE_HEAD = 0.4
 
 
 class Look(NamedTuple):
@@ -74,12 +76,34 @@ def look_at(poses: Sequence[Pose], cameras: Sequence[CameraSpec], up: str) -> Lo
     return Look(middle, size, middle + (DISTANCE + size) * towards)
 
 
+class Figure(NamedTuple):
+    """A body of the scene.
+
+    Attributes:
+        body: its shape.
+        name: the person's name; empty if there is only one person.
+        colour: the person's one colour; None: the parts have the colours of their sides.
+    """
+
+    body: Body
+    name: str = ""
+    colour: Colour | None = None
+
+    @property
+    def parts(self) -> list[Colour]:
+        """The colours of the parts."""
+        return [over_image(name) if self.colour is None else self.colour for name in self.body.topology.names]
+
+    def layer(self, name: str) -> str:
+        """Return the name of a layer of the page that belongs to the person."""
+        return f"/{self.name[:1].upper()}{self.name[1:]}, {name.lower()}" if self.name else f"/{name}"
+
+
 class Scene:
     """A scene to which frames are shown, one after the other."""
 
-    def __init__(self, scene: "SceneApi", body: Body, up: Literal["x", "y", "z"], look: Look) -> None:
-        self.scene, self.body, self.up = scene, body, "xyz".index(up)
-        self.parts = [over_image(name) for name in body.topology.names]
+    def __init__(self, scene: "SceneApi", up: Literal["x", "y", "z"], look: Look) -> None:
+        self.scene, self.up = scene, "xyz".index(up)
         self.nodes: dict[str, Any] = {}
         self.radii: dict[str, np.ndarray] = {}
         scene.set_up_direction(np.eye(3)[self.up])
@@ -100,38 +124,61 @@ class Scene:
         axes = self.scene.world_axes
         axes.axes_length, axes.axes_radius, axes.visible = AXES, 0.008, True
 
-    def show(self, pose: Pose, evidence: Seen, time: str) -> None:
-        """Show a frame; `time` is its label."""
-        for part in range(len(self.parts)):
-            self._part(part, pose)
-        if len(pose.draws):
-            self._draws(pose.draws)
+    def show(self, poses: Sequence[tuple[Figure, Pose | None]], evidence: Seen, time: str) -> None:
+        """Show a frame: the bodies with their poses, None for a person who is not there, and the label of the time."""
+        for figure, pose in poses:
+            if pose is None:
+                self._hide(figure)
+            else:
+                self._show(figure, pose)
         for number, (camera, image) in enumerate(zip(evidence.cameras, evidence.images, strict=True), 1):
             self._camera(f"{number} {_named(camera.name)}", camera, image)
         self._points("/True markers", evidence.truth, TRUTH)
         self._points("/Triangulated keypoints", evidence.keypoints, KEYPOINTS)
         self._label("/Time", time, self.time_place)
 
-    def _part(self, part: int, pose: Pose) -> None:
-        name = f"/Mean body/{part + 1} {_named(spoken(self.body.topology.names[part]))}"
+    def _show(self, figure: Figure, pose: Pose) -> None:
+        for part in range(len(figure.parts)):
+            self._part(figure, part, pose)
+        if len(pose.draws):
+            self._draws(figure, pose.draws)
+        if figure.name:
+            # Above the highest part.
+            highest = pose.origins[pose.origins[:, self.up].argmax()]
+            self._label(f"/Names/{_named(figure.name)}", escaped(figure.name), highest + ABOVE_HEAD * np.eye(3)[self.up])
+            _make_visible(self.nodes[f"/Names/{_named(figure.name)}"])
+
+    def _hide(self, figure: Figure) -> None:
+        names = [self._part_name(figure, part) for part in range(len(figure.parts))]
+        for name in (*names, figure.layer("Draws"), f"/Names/{_named(figure.name)}"):
+            if node := self.nodes.get(name):
+                node.visible = False
+
+    def _part_name(self, figure: Figure, part: int) -> str:
+        return f"{figure.layer('Mean body')}/{part + 1} {_named(spoken(figure.body.topology.names[part]))}"
+
+    def _part(self, figure: Figure, part: int, pose: Pose) -> None:
+        name = self._part_name(figure, part)
         radii, node = pose.radii[part], self.nodes.get(name)
         if node is None:
-            vertices, faces = part_mesh(self.body, part, radii)
-            node = self.nodes[name] = self.scene.add_mesh_simple(name, vertices, faces, color=self.parts[part], opacity=OPACITY)
+            vertices, faces = part_mesh(figure.body, part, radii)
+            node = self.nodes[name] = self.scene.add_mesh_simple(name, vertices, faces, color=figure.parts[part], opacity=OPACITY)
         elif not np.array_equal(radii, self.radii[name]):
-            node.vertices = part_mesh(self.body, part, radii).vertices
+            node.vertices = part_mesh(figure.body, part, radii).vertices
         self.radii[name] = radii
         node.position, node.wxyz = pose.origins[part], pose.quaternions[part]
+        _make_visible(node)
 
-    def _draws(self, draws: Float[np.ndarray, "draw part 2 3"]) -> None:
+    def _draws(self, figure: Figure, draws: Float[np.ndarray, "draw part 2 3"]) -> None:
         # Whole tenths of a millimetre, so that the file compresses.
-        lines = np.round(draws.reshape(-1, 2, 3), 4).astype(np.float32)
-        if node := self.nodes.get("/Draws"):
+        lines, name = np.round(draws.reshape(-1, 2, 3), 4).astype(np.float32), figure.layer("Draws")
+        if node := self.nodes.get(name):
             node.points = lines
+            _make_visible(node)
             return
-        dark = (DARKER * np.array(self.parts)).astype(np.uint8)
+        dark = (DARKER * np.array(figure.parts)).astype(np.uint8)
         colours = np.broadcast_to(dark[None, :, None], draws.shape).reshape(-1, 2, 3)
-        self.nodes["/Draws"] = self.scene.add_line_segments("/Draws", lines, colours, thickness=LINE)
+        self.nodes[name] = self.scene.add_line_segments(name, lines, colours, thickness=LINE)
 
     def _camera(self, last: str, camera: CameraSpec, image: Colours | None) -> None:
         (width, height), (fx, fy), name = camera.size_px, camera.focal_px, f"/Cameras/{last}"
@@ -163,6 +210,12 @@ class Scene:
             self.nodes[name] = self.scene.add_label(name, text, position=place, anchor="top-center")
         else:
             node.text, node.position = text, place
+
+
+def _make_visible(node: Any) -> None:
+    """Show a node that was hidden; nothing is recorded for one that is shown."""
+    if not node.visible:
+        node.visible = True
 
 
 def _named(text: str) -> str:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import zstandard
+from people_runs import person_run
 
 from bayes_body.base.geometry import rotations
 from bayes_body.cli.main import main
@@ -21,6 +22,7 @@ from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec
 from bayes_body.results.storage.saved_run import load_run
+from bayes_body.view.colours import person_colour
 from bayes_body.view.viewer import page as pages
 from bayes_body.view.viewer import write_view
 from bayes_body.view.viewer.motion import LARGEST, Budget, read_poses
@@ -224,3 +226,35 @@ def test_the_command(make_arm, capsys, tmp_path, monkeypatch):
         status, out, err = said("--frames", frames)
         assert (status, out) == (2, "") and "frames from 0 to 4" in err
     assert said("--draws", "-1")[0] == said("--draws", "1001")[0] == 2
+
+
+def test_several_people_in_one_scene(make_run, keypoint_session, tmp_path, capsys):
+    """Each has a colour and a name, and is shown only in the frames in which the person is there."""
+    run = make_run(dofs=ARM_DOFS, units=RADIANS, recording=keypoint_session)
+    runs = [person_run(run, tmp_path / "study", number, frames) for number, frames in ((1, range(3)), (2, range(2, 5)))]
+    with pytest.raises(SystemExit) as stopped:
+        main(["view", *map(str, runs), "--draws", "6"])
+    path = tmp_path / "study" / "people_3d.html"
+    assert stopped.value.code == 0 and capsys.readouterr().out == f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it in a browser.\n"
+    page = record(path)
+    assert page["durationSeconds"] == pytest.approx(5 / 60)
+    layers = names(path)
+    assert {"/Person 1, draws", "/Person 2, draws", "/Names/person 1", "/Names/person 2", "/Triangulated keypoints"} <= layers
+    assert not layers & {"/Draws", "/Mean body"}
+    for number in (1, 2):
+        meshes = [
+            message
+            for _, message in page["messages"]
+            if message["type"] == "MeshMessage" and message["name"].startswith(f"/Person {number}, mean body/")
+        ]
+        assert len(meshes) == 3 and {tuple(mesh["props"]["color"]) for mesh in meshes} == {person_colour(number)}
+    # Before the second comes, nothing of that person is there; the first one is hidden when she leaves.
+    seconds = [second for second, message in page["messages"] if str(message.get("name", "")).startswith("/Person 2")]
+    assert min(seconds) == pytest.approx(2 / 60)
+    hidden = [
+        (second, message["name"])
+        for second, message in page["messages"]
+        if message.get("updates", {}).get("visible") is False or (message["type"] == "SetSceneNodeVisibilityMessage" and not message["visible"])
+    ]
+    assert {name for second, name in hidden if second == pytest.approx(3 / 60)} >= {"/Person 1, draws", "/Names/person 1"}
+    assert "person 2, frames 2 to 4" in path.read_text(encoding="utf-8")
