@@ -49,7 +49,7 @@ def picture_section(folder: Path, quality: Quality | None, run_frames: int | Non
     """
     if quality is None:
         return section("pictures", "Pictures", tag("p", "The pictures are left out: with them the page would be too large."))
-    stills = list(_stills(folder / "overlay", quality))
+    stills = read_stills(folder / "overlay", quality)
     video = _animation(folder / "overlay.mp4", quality, run_frames)
     parts: list[str] = [tag("p", ABOUT)]
     parts += [figures([video], "moving")] if video else [tag("p", "overlay.mp4 is missing or cannot be read: there is no moving picture.")]
@@ -59,6 +59,11 @@ def picture_section(folder: Path, quality: Quality | None, run_frames: int | Non
     # No link: the page has scripts, and in a stranger's folder they are the stranger's.
     scene = tag("p", command, " makes a page on which this run can be turned and played in 3D.", class_="note")
     return section("pictures", "Pictures", *(parts if video or stills else parts[1:]), scene)
+
+
+def read_stills(folder: Path, quality: Quality) -> list[Picture]:
+    """Return the stills of an overlay's folder that can be read."""
+    return list(_stills(folder, quality))
 
 
 def _stills(folder: Path, quality: Quality) -> Iterator[Picture]:

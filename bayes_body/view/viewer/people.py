@@ -12,7 +12,7 @@ import numpy as np
 from bayes_body.base.files.atomic import check_free, has_mark, make_folder, write_text
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.results.storage.names import PEOPLE_VIEW_FILE
-from bayes_body.view.colours import KEYPOINTS, TRUTH
+from bayes_body.view.colours import CAMERAS, TRUTH
 from bayes_body.view.people import People
 from bayes_body.view.report.markup import Markup, joined, tag
 from bayes_body.view.viewer.motion import LARGEST, Budget, Pose, read_poses
@@ -83,7 +83,8 @@ def _page(people: People, recordings: Sequence[Recording], shown: range, draws: 
     cameras = [view.camera for view in people.session.views]
     with deaf_server() as server:
         look = look_at([pose for track in poses for pose in track.values()], cameras, people.session.up)
-        scene = Scene(server.scene, people.session.up, look)
+        # Keypoints are dark: their usual colour is that of a person here.
+        scene = Scene(server.scene, people.session.up, look, CAMERAS)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = look.eye, look.middle, look.fov
         record = server.get_scene_serializer()
@@ -117,7 +118,7 @@ def _text(people: People, draws: int, has_truth: bool, has_keypoints: bool, rema
         *(tag("li", dot(person.colour), f"{person.label}, frames {person.frames.start} to {person.frames[-1]}") for person in people.persons),
         *([tag("li", f"Lines: {draws} draws from the posterior of each person and frame. A line is the axis of a part.")] if draws else []),
         *([tag("li", dot(TRUTH), "true markers")] if has_truth else []),
-        *([tag("li", dot(KEYPOINTS), "keypoints, triangulated")] if has_keypoints else []),
+        *([tag("li", dot(CAMERAS), "keypoints, triangulated")] if has_keypoints else []),
     ]
     axes = "World axes: x red, y green, z blue. Tiles of the floor: 1 m."
     return joined([tag("ul", *layers, tag("li", axes)), *(tag("p", remark) for remark in remarks), tag("p", CONTROLS, class_="soft")])

@@ -102,8 +102,8 @@ class Figure(NamedTuple):
 class Scene:
     """A scene to which frames are shown, one after the other."""
 
-    def __init__(self, scene: "SceneApi", up: Literal["x", "y", "z"], look: Look) -> None:
-        self.scene, self.up = scene, "xyz".index(up)
+    def __init__(self, scene: "SceneApi", up: Literal["x", "y", "z"], look: Look, keypoints: Colour = KEYPOINTS) -> None:
+        self.scene, self.up, self.keypoint_colour = scene, "xyz".index(up), keypoints
         self.nodes: dict[str, Any] = {}
         self.radii: dict[str, np.ndarray] = {}
         scene.set_up_direction(np.eye(3)[self.up])
@@ -134,7 +134,7 @@ class Scene:
         for number, (camera, image) in enumerate(zip(evidence.cameras, evidence.images, strict=True), 1):
             self._camera(f"{number} {_named(camera.name)}", camera, image)
         self._points("/True markers", evidence.truth, TRUTH)
-        self._points("/Triangulated keypoints", evidence.keypoints, KEYPOINTS)
+        self._points("/Triangulated keypoints", evidence.keypoints, self.keypoint_colour)
         self._label("/Time", time, self.time_place)
 
     def _show(self, figure: Figure, pose: Pose) -> None:
