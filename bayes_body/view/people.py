@@ -5,7 +5,6 @@ several people are compared by the numbers of their frames.
 """
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -21,21 +20,14 @@ from bayes_body.recording.session.session import CameraSpec, Session
 from bayes_body.results.posterior import CentralPose, central_pose
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
+from bayes_body.results.storage.names import person_number
 from bayes_body.results.storage.run_file import check_plugins
 from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.view.colours import Colour, person_colour, person_ink
 
-# Folder of a person's session, and end of a name that has the person at its end.
-PERSON = re.compile(r"(?:.*_)?person_([1-9]\d{0,5})")
 # Calibrations of the same cameras agree to this, in metres, pixels and entries of rotations: they may have been written with fewer digits.
 SAME_CAMERA = 1e-6
 TOGETHER = "give the runs that `bayes-body track SESSION --person all` made of one recording"
-
-
-def person_number(name: str) -> int | None:
-    """Return the number of the person in a name such as `person_2` or `walk_person_2`; None if there is no person in it."""
-    match = PERSON.fullmatch(name)
-    return int(match[1]) if match else None
 
 
 class Person(NamedTuple):

@@ -13,10 +13,11 @@ from sealed import seal
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
 from bayes_body.results.metrics.fit import Outline
+from bayes_body.results.storage.names import person_number
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.view.colours import bgr, person_colour
 from bayes_body.view.overlay_people import Rectangle, _write_names, draw_people
-from bayes_body.view.people import open_people, people_of, person_number
+from bayes_body.view.people import open_people, people_of
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import pytest
 from browser import tab  # noqa: F401
 
+from bayes_body.view.colours import person_ink
 from bayes_body.view.study.page import page, write_index
 from bayes_body.view.study.rows import Link, StudyRow, links_of, read_summary, row_of, write_csv
 
@@ -86,6 +87,18 @@ def test_no_text_becomes_markup(name):
     assert addresses and all(address.startswith("./") and unquote(address) == f"./{name}/report.html" for address in addresses)
     # Title, heading, session, variant, note, warning, two links, and twice in the list of failures.
     assert sum(word == name or word == f": {name}" for word in elements.words) == 9
+
+
+def test_people_of_one_recording_have_their_colours_and_pages_together(tmp_path):
+    rows = [StudyRow("walk_person_1"), StudyRow("walk_person_2"), StudyRow("jump")]
+    (tmp_path / "people.html").write_text("")
+    elements = Elements(write_index(rows, [], tmp_path, "study").read_text(encoding="utf-8"))
+    styles = [attributes["style"] for tag, attributes in elements.elements if tag == "span" and "style" in attributes]
+    assert styles == [f"color: {person_ink(number)}" for number in (1, 2)] and "person" in elements.words
+    assert [attributes["href"] for tag, attributes in elements.elements if tag == "a"] == ["./people.html"]
+    # Without people: nothing about them.
+    alone = Elements(page(rows[2:], [], "study"))
+    assert "person" not in alone.words and not [tag for tag, _ in alone.elements if tag == "a"]
 
 
 def many(count):

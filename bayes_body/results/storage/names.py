@@ -1,5 +1,6 @@
 """Names of the files of a run, and names of folders that do not exist yet."""
 
+import re
 from pathlib import Path
 
 RUN_FILE, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, FRAMES_FOLDER = "run.toml", "posterior.nc", "summary.json", "manifest.json", "frames"
@@ -12,6 +13,16 @@ PEOPLE_REPORT_FILE, PEOPLE_VIEW_FILE = "people.html", "people_3d.html"
 DELAYS_FILE = "live.csv"
 # Everything that a run writes, except its settings and its lock.
 RESULTS = (FRAMES_FOLDER, POSTERIOR_FILE, SUMMARY_FILE, MANIFEST_FILE, OVERLAY_FILE, OVERLAY_FOLDER)
+
+
+# Folder of a person's session, and end of the name of such a session in a study.
+PERSON = re.compile(r"(?:.*_)?person_([1-9]\d{0,5})")
+
+
+def person_number(name: str) -> int | None:
+    """Return the number of the person in a name such as `person_2` or `walk_person_2`; None if there is no person in it."""
+    match = PERSON.fullmatch(name)
+    return int(match[1]) if match else None
 
 
 def free_folder(wanted: Path) -> Path:

@@ -41,7 +41,6 @@ BANDS = 60
 DOUBT = "{a} and {b} may have been exchanged between frames {first} and {last}: there they are within each other's uncertainty."
 TWINS = "{a} and {b} may be one person who was tracked twice: in frames {first} to {last} they are within each other's uncertainty."
 NO_DOUBT = "Nobody comes so near to another person that the posterior could not tell the two apart."
-NO_STILLS = "There are no pictures of all people: `bayes-body overlay` with the same runs makes them, and this command then shows them."
 PATHS = "The middle of each body from above, with its 90 % intervals, and a dot where the path begins."
 DISTANCES = "The horizontal distance between the middles of two bodies, in the frames that both have."
 
@@ -158,9 +157,13 @@ def _distances(people: People, first: tuple[Person, Moments], second: tuple[Pers
 
 def _sections(people: People, tracks: Sequence[Moments], folder: Path) -> list[Markup]:
     stills = read_stills(people.folder / Path(OVERLAY_FILE).stem, QUALITIES[1])
-    pictures = [figures(stills, "large")] if stills else [tag("p", NO_STILLS)]
+    pictures = (
+        [figures(stills, "large")]
+        if stills
+        else [tag("p", tag("code", "bayes-body overlay"), " with the same runs makes pictures of all people, which the next report then shows.")]
+    )
     distances = _distance_panel(people, tracks)
-    near = [tag("p", DISTANCES), figures([distances])] if distances else [tag("p", "No two people are there in the same frame.")]
+    near = [tag("p", DISTANCES), figures([distances], "wide")] if distances else [tag("p", "No two people are there in the same frame.")]
     return [
         section("people", "People", _table(people, folder)),
         section("pictures", "Pictures", *pictures),
@@ -174,7 +177,7 @@ def _table(people: People, folder: Path) -> Markup:
     for person in people.persons:
         report = person.run.folder / RUN_REPORT
         where = quote(Path(os.path.relpath(report.resolve(), folder.resolve())).as_posix(), errors="surrogateescape")
-        link = tag("a", "report", href=f"./{where}") if report.is_file() else "none yet: bayes-body report"
+        link = tag("a", "report", href=f"./{where}") if report.is_file() else "none yet"
         disc = tag("span", "\u25cf", style=f"color: {person.ink}; font-size: 1.3em; line-height: 1")
         warnings, lost = person.run.summary.get("warnings"), person.run.summary.get("frames_lost")
         rows.append(
@@ -220,7 +223,7 @@ def _plan(people: People, tracks: Sequence[Moments]) -> Picture:
 def _distance_panel(people: People, tracks: Sequence[Moments]) -> Picture | None:
     """Return the distances of all pairs over time; None if no two people are there together."""
     figure, axes = new_panel("Distances", time_label(people.fps), "distance, m", (5.2, 2.6))
-    smallest = []
+    smallest, largest = [], NEAR_M
     for number, (a, b) in enumerate(combinations(range(len(tracks)), 2)):
         first, second = people.persons[a], people.persons[b]
         if not (common := _common(first, second)):
@@ -228,12 +231,12 @@ def _distance_panel(people: People, tracks: Sequence[Moments]) -> Picture | None
         values, step = _distances(people, (first, tracks[a]), (second, tracks[b])), frames_a_point(len(common))
         places = np.asarray(common) - people.frames.start
         axes.plot(places[::step], values[::step], linestyle=run_line(number), label=f"{first.number} and {second.number}")
-        frame = common[int(values.argmin())]
+        frame, largest = common[int(values.argmin())], max(largest, float(values.max()))
         smallest.append(f"{first.label} and {second.label}: smallest {values.min():.2f} m, in frame {frame}")
     if not smallest:
         return None
     time_axis(axes, len(people.frames), people.fps)
-    axes.set_ylim(0, max(axes.get_ylim()[1], 1.2 * NEAR_M))
+    axes.set_ylim(0, 1.15 * largest)
     draw_limit(axes, NEAR_M, "near")
     return encoded(figure, f"{'; '.join(smallest)}.", f"{'; '.join(smallest).capitalize()}.")
 

@@ -18,11 +18,15 @@ from urllib.parse import quote
 
 from bayes_body.base.errors import printable
 from bayes_body.base.files.atomic import write_text
-from bayes_body.view.study.rows import FAILED, STATES, StudyRow
+from bayes_body.results.storage.names import OVERLAY_FILE, PEOPLE_REPORT_FILE, PEOPLE_VIEW_FILE, person_number
+from bayes_body.view.colours import person_ink
+from bayes_body.view.study.rows import FAILED, STATES, Link, StudyRow
 
 FILE_NAME = "index.html"
 # Between columns, `rem`.
 GAP = 0.7
+# Files of several people together beside the page, and the words that lead to them.
+JOINT = ((PEOPLE_REPORT_FILE, "report"), (PEOPLE_VIEW_FILE, "3D"), (OVERLAY_FILE, "video"))
 OPTION = re.compile(r"(--[a-z][a-z-]*)")
 
 
@@ -93,6 +97,12 @@ def _session(row: StudyRow) -> str:
     return f"<b>{_escaped(row.session)}</b>{f'<div>{links}</div>' if links else ''}"
 
 
+def _person(row: StudyRow) -> str:
+    """Return the person's colour in pictures of several people, and the number; nothing for a session that is not one of several people's."""
+    number = person_number(row.session)
+    return "" if number is None else f'<span style="color: {person_ink(number)}">\u25cf</span> {number}'
+
+
 def _address(path: str) -> str:
     """Return a relative path as the address of a link; `./` keeps a name with a colon from being taken for a protocol."""
     return f"./{quote(path, errors='surrogateescape')}"
@@ -101,6 +111,7 @@ def _address(path: str) -> str:
 COLUMNS = (
     Column("", "", 7.6, 0, _picture, sorts=False),
     Column("session", "s", 13, 2, _session),
+    Column("person", "t", 4.3, 0, _person, lambda row: person_number(row.session)),
     Column("variant", "t", 5.5, 1, lambda row: _escaped(row.variant)),
     Column("state", "t", 5.5, 1, _state, lambda row: STATES.index(row.state)),
     _number("frames", "frames", "{:,}"),
@@ -130,12 +141,22 @@ def write_index(
         InputError: the file cannot be written.
     """
     path = folder / FILE_NAME
-    write_text(path, page(rows, failures, title, counts))
+    links = [Link(words, name) for name, words in JOINT if (folder / name).is_file()]
+    write_text(path, page(rows, failures, title, counts, links))
     return path
 
 
-def page(rows: Sequence[StudyRow], failures: Sequence[tuple[str, str]], title: str, counts: Mapping[str, int] | None = None) -> str:
-    """Return the page's HTML. Columns in which no row has anything are left out; the arguments are those of `write_index`."""
+def page(
+    rows: Sequence[StudyRow],
+    failures: Sequence[tuple[str, str]],
+    title: str,
+    counts: Mapping[str, int] | None = None,
+    links: Sequence[Link] = (),
+) -> str:
+    """Return the page's HTML. Columns in which no row has anything are left out; the first arguments are those of `write_index`.
+
+    The links are those to pages of several people together.
+    """
     package = files(__package__)
     script = package.joinpath("page.js").read_text(encoding="utf-8")
     markup = {column: [column.inside(row) for row in rows] for column in COLUMNS}
@@ -146,7 +167,7 @@ def page(rows: Sequence[StudyRow], failures: Sequence[tuple[str, str]], title: s
         "columns": " ".join(f"minmax({column.width:g}rem, {column.share}fr)" if column.share else f"{column.width:g}rem" for column in columns),
         "least_width": f"{sum(column.width + GAP for column in columns):g}rem",
         "gap": f"{GAP}rem",
-        "counted": _counted(rows, counts),
+        "counted": _counted(rows, counts) + _joint(links),
         "failures": _failures(failures),
         "states": _state_buttons(rows),
         "head": "".join(map(_heading, columns)),
@@ -176,6 +197,12 @@ def _counted(rows: Sequence[StudyRow], counts: Mapping[str, int] | None) -> str:
     if counts is not None:
         parts.append(f"{sum(counts.values()):,} units: " + ", ".join(f"{counts.get(state, 0):,} {state}" for state in reversed(STATES)))
     return "; ".join(parts) + "."
+
+
+def _joint(links: Sequence[Link]) -> str:
+    if not links:
+        return ""
+    return " All people: " + ", ".join(f'<a href="{_address(link.path)}">{_escaped(link.words)}</a>' for link in links) + "."
 
 
 def _state_buttons(rows: Sequence[StudyRow]) -> str:
