@@ -1,8 +1,8 @@
 r"""The report of several people of one recording: who they are, pictures of all, their paths on the floor, and how near they come to each other.
 
-A person's place is the middle of the body's markers, and distances are horizontal. Two people who are nearer than NEAR_M may have been exchanged there
-if the posterior cannot tell them apart: if the distance of their means is at most $1.645 \sqrt{s_1^2 + s_2^2}$, with s the standard deviations of
-the places, which is the half-width of a 90 % interval of the distance.
+A person's place is the middle of the body's markers, and distances are horizontal. Two people who are nearer than NEAR_M may have been exchanged if
+the posterior cannot tell them apart: if the distance of their means is at most $1.645 \sqrt{s_1^2 + s_2^2}$, with s the standard deviations of the
+places, which is the half-width of a 90 % interval of the distance.
 """
 
 import os
@@ -157,11 +157,9 @@ def _distances(people: People, first: tuple[Person, Moments], second: tuple[Pers
 
 def _sections(people: People, tracks: Sequence[Moments], folder: Path) -> list[Markup]:
     stills = read_stills(people.folder / Path(OVERLAY_FILE).stem, QUALITIES[1])
-    pictures = (
-        [figures(stills, "large")]
-        if stills
-        else [tag("p", tag("code", "bayes-body overlay"), " with the same runs makes pictures of all people, which the next report then shows.")]
-    )
+    command = tag("code", "bayes-body overlay")
+    no_stills = tag("p", command, " with the same runs makes pictures of all people, which the next report then shows.")
+    pictures = [figures(stills, "large")] if stills else [no_stills]
     distances = _distance_panel(people, tracks)
     near = [tag("p", DISTANCES), figures([distances], "wide")] if distances else [tag("p", "No two people are there in the same frame.")]
     return [
