@@ -27,7 +27,7 @@ from bayes_body.results.storage.saved_moments import markers_of_each
 from bayes_body.view.colours import run_line
 from bayes_body.view.people import People, Person
 from bayes_body.view.report.figures import draw_limit, encoded, frames_a_point, new_panel, style, time_axis, time_label
-from bayes_body.view.report.markup import Markup, Picture, figures, joined, section, table, tag
+from bayes_body.view.report.markup import Markup, Picture, details, figures, joined, section, table, tag
 from bayes_body.view.report.page import FILE_NAME as RUN_REPORT
 from bayes_body.view.report.page import LARGEST, MARK
 from bayes_body.view.report.pictures import QUALITIES, read_stills
@@ -159,14 +159,17 @@ def _sections(people: People, tracks: Sequence[Moments], folder: Path) -> list[M
     stills = read_stills(people.folder / Path(OVERLAY_FILE).stem, QUALITIES[1])
     command = tag("code", "bayes-body overlay")
     no_stills = tag("p", command, " with the same runs makes pictures of all people, which the next report then shows.")
-    pictures = [figures(stills, "large")] if stills else [no_stills]
+    # In the middle of the recording more people are there than at its ends.
+    middle, more = stills[len(stills) // 2 :][:1], [*stills[: len(stills) // 2], *stills[len(stills) // 2 + 1 :]]
+    pictures = [figures(middle, "large")] if stills else [no_stills]
+    pictures += [details(f"{len(more)} more", figures(more, "large"))] if more else []
     distances = _distance_panel(people, tracks)
     near = [tag("p", DISTANCES), figures([distances], "wide")] if distances else [tag("p", "No two people are there in the same frame.")]
     return [
         section("people", "People", _table(people, folder)),
-        section("pictures", "Pictures", *pictures),
         section("paths", "Paths on the floor", tag("p", PATHS), figures([_plan(people, tracks)], "wide")),
         section("distances", "Distances", *near),
+        section("pictures", "Pictures", *pictures),
     ]
 
 
@@ -247,7 +250,7 @@ def _page(people: People, tracks: Sequence[Moments], sections: Sequence[Markup])
     """
     doubts = [near.sentence for near in near_spans(people, tracks)]
     first, last = people.frames.start, people.frames[-1]
-    titles = (("people", "People"), ("pictures", "Pictures"), ("paths", "Paths on the floor"), ("distances", "Distances"))
+    titles = (("people", "People"), ("paths", "Paths on the floor"), ("distances", "Distances"), ("pictures", "Pictures"))
     values = {
         "title": f"People of {people.folder.name}",
         "subtitle": f"{people.session.title}: {len(people.persons)} people in the frames {first} to {last}, {people.fps:g} a second",
