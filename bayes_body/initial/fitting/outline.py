@@ -53,14 +53,14 @@ WHERE = "session.toml: initial.fit_outline"
 class Silhouettes(NamedTuple):
     """The silhouette in each camera that saw the person, on its grid.
 
-    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground. `seen` is 0 where another
+    The grid's columns and rows are in pixels from the image's middle; `inside` is 1 where a grid point is foreground. `counted` is 0 where another
     person covers it; None where no camera sees other people.
     """
 
     columns: Float[Array, "camera column"]
     rows: Float[Array, "camera row"]
     inside: Float[Array, "camera row column"]
-    seen: Float[Array, "camera row column"] | None = None
+    counted: Float[Array, "camera row column"] | None = None
 
 
 class Outline(NamedTuple):
@@ -117,8 +117,8 @@ def _grid(mask: np.ndarray, covered: np.ndarray | None) -> tuple[np.ndarray, np.
         axes.append(np.linspace(max(hit[0] - margin, 0), min(hit[-1] + margin, mask.shape[axis] - 1), count))
     columns, rows = axes
     places = np.rint(rows).astype(int)[:, None], np.rint(columns).astype(int)
-    seen = np.ones(GRID[::-1]) if covered is None else 1.0 - covered[places]
-    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, mask[places], seen
+    counted = np.ones(GRID[::-1]) if covered is None else 1.0 - covered[places]
+    return columns - mask.shape[1] / 2, rows - mask.shape[0] / 2, mask[places], counted
 
 
 def _groups(body: Body) -> Float[np.ndarray, "group part 2"]:
@@ -142,11 +142,11 @@ def _thick(body: Body, groups: Float[Array, "group part 2"], logs: Float[Array, 
 def _overlap(body: Body, rig: Camera, pose: Pose, silhouettes: Silhouettes) -> Scalar:
     """Return the mean IoU of the silhouettes and the body's projection."""
 
-    def iou(forms: Array, columns: Array, rows: Array, inside: Array, seen: Array | None) -> Scalar:
+    def iou(forms: Array, columns: Array, rows: Array, inside: Array, counted: Array | None) -> Scalar:
         distance = signed_distance(body.topology, forms, columns, rows)
         covered = jax.nn.sigmoid(distance / (SOFT * (columns[1] - columns[0])))
-        if seen is not None:
-            covered = covered * seen
+        if counted is not None:
+            covered = covered * counted
         intersection = jnp.sum(inside * covered)
         return intersection / (jnp.sum(inside) + jnp.sum(covered) - intersection)
 

@@ -88,8 +88,8 @@ def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def other_figures(mask: NDArray[np.bool_]) -> Mask | None:
     """Return the region of all figures of a mask but the largest, with a narrow margin that leaves the largest out; None without others."""
     largest = largest_figure(mask)
-    others = mask & ~largest
-    return _widened(others) & ~largest if others.any() else None
+    smaller_figures = mask & ~largest
+    return _widened(smaller_figures) & ~largest if smaller_figures.any() else None
 
 
 def ambiguous(mask: NDArray[np.bool_], region: NDArray[np.bool_]) -> Mask:

@@ -205,13 +205,13 @@ def _whole_region(
     """The region that is not seen, as the silhouette shows it."""
 
     def region() -> NDArray[np.bool_] | None:
-        known, mask = None if covered is None else covered[camera], masks[camera]
+        by_keypoints, mask = None if covered is None else covered[camera], masks[camera]
         if mask is None:
-            return known
-        whole = None if known is None else ambiguous(mask, known)
+            return by_keypoints
+        hidden = None if by_keypoints is None else ambiguous(mask, by_keypoints)
         # The bystander whom keypoints show may be the largest figure.
-        figures = other_figures(uncovered(mask, whole)) if session.segmentation.figures == "largest" else None
-        return figures if whole is None else whole if figures is None else whole | figures
+        figures = other_figures(uncovered(mask, hidden)) if session.segmentation.figures == "largest" else None
+        return figures if hidden is None else hidden if figures is None else hidden | figures
 
     return cache(region)
 

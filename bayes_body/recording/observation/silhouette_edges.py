@@ -233,8 +233,8 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
             else:
                 mask = uncovered(figures, covered)
                 stacks.append(hide(maps_of(image, mask, covered, frame.largest), covered, options.unseen_error))
-                seen = mask.size if covered is None else mask.size - np.count_nonzero(covered)
-                shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / seen)
+                area = mask.size if covered is None else mask.size - np.count_nonzero(covered)
+                shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / area)
                 points.append(spread_points(mask, count))
         cells = None if area_grid is None or frame.covered is None else _uncovered_cells(frame.covered, *area_grid)
         return SilhouetteEdgeMaps(pack(np.stack(stacks)), np.array(shares, np.float32), np.stack(points), cells)

@@ -58,7 +58,7 @@ def test_figures_that_are_not_the_largest():
     assert others[10:95, 120:138].all() and not others[:, :100].any()
     # Keypoints that missed the head, and cover more than the person does.
     covered = np.zeros_like(mask)
-    covered[16:118, 100:158] = True
+    covered[12:118, 100:158] = True
     hidden = ambiguous(mask, covered)
     assert hidden[10:95, 120:138].all() and not hidden[:, :117].any() and not hidden[:, 141:].any() and not hidden[98:].any()
     # A large figure beside the region is the subject's.
