@@ -5,7 +5,7 @@ each pixel a measure of proximity to an edge". By distance: V = exp(−d²/2h²)
 distances, an arm five pixels wide agrees with its silhouette as fully as a torso does, and a single outline counts as much as a striped shirt
 (docs/decisions). Both maps are stored as (1 − V)², which is what the likelihood averages.
 
-What other people cover is not seen: it has the error of a pixel outside the image, and neither their silhouettes nor their edges draw anything.
+What other people cover is not seen: it has a constant error, and neither their silhouettes nor their edges draw anything.
 
 Points are spread over a silhouette so that a limb gets points in proportion to its length. By area, a torso would get most of them, and an arm few.
 """
@@ -104,8 +104,8 @@ class Options(Schema):
 
     `proximity` chooses how the maps are made. By distance, h is `silhouette_smooth_px` and `edge_smooth_px`; edges count only within
     `edges_within_px` of the silhouette, because the others belong to the room. A sample outside an image counts as the error `unseen_error`, wherever
-    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it,
-    and every sample that another person covers.
+    it is; 0.5 is half way between full agreement and none. So does every sample in a camera that did not see the frame, or has no silhouette in it.
+    A sample that another person covers, on foreground that may be either's, counts as `covered_error`.
     `area_of` says whose foreground counts in the agreement of areas, (9): all of it, or the largest figure's, for views of more than one person.
     """
 
@@ -122,7 +122,9 @@ class Options(Schema):
     edges_within_px: NonNegative = 4.0
     """[pixels] with `"distance"`: edges farther from the silhouette belong to the room and do not count."""
     unseen_error: Share = 0.5
-    """the error of a sample outside the image, or covered by another person, between 0 (full agreement) and 1 (none)."""
+    """the error of a sample outside the image, between 0 (full agreement) and 1 (none)."""
+    covered_error: Share = 0.25
+    """the error of a sample that another person covers, where the silhouette may be either's."""
     area_of: Literal["all", "largest"] = "all"
     """whose foreground counts in the agreement of areas: `"all"` of it, or that of the `"largest"` figure, where more than one person is in view."""
 
@@ -232,7 +234,7 @@ def build(options: Options, likelihood: Any = None, **_: Any) -> Callable[[Frame
                 points.append(np.zeros((count, 2), np.float32))
             else:
                 mask = uncovered(figures, covered)
-                stacks.append(hide(maps_of(image, mask, covered, frame.largest), covered, options.unseen_error))
+                stacks.append(hide(maps_of(image, mask, covered, frame.largest), covered, options.covered_error))
                 area = mask.size if covered is None else mask.size - np.count_nonzero(covered)
                 shares.append(np.count_nonzero(largest_figure(mask) if options.area_of == "largest" else mask) / area)
                 points.append(spread_points(mask, count))

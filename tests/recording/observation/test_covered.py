@@ -98,7 +98,7 @@ def test_maps_of_silhouettes_and_edges_do_not_see_who_covers_the_subject(proximi
     frame, covered = scene(region()), region()
     term = find("likelihood", "silhouette_edges")
     likelihood = term.options(terms=["silhouette", "edges", "cover"], gamma=1.0, cover_points=40, area_grid=(16, 12))
-    maps = observe("silhouette_edges", frame, likelihood, proximity=proximity, unseen_error=0.4)
+    maps = observe("silhouette_edges", frame, likelihood, proximity=proximity, covered_error=0.4)
     levels, alone = image_part(maps.errors, frame), image_part(observe("silhouette_edges", scene(None), proximity=proximity).errors, frame)
     assert (levels[0][:, covered] == round(0.4 * 255)).all()
     # Where nothing is covered the subject is as near as before, and the other one, at columns up to 90, is not near at all.
