@@ -125,8 +125,8 @@ def _read(path: Path, state: tuple[int, int]) -> KeypointSeries:
             raise input_error(path, f"no `{key}`", KIND, REMEDY)
     names = _names(path, arrays["names"])
     points, first = _points(path, arrays["keypoints"], len(names)), _first(path, arrays.get("first", np.array(0)))
-    candidates, bystanders = (read(path, arrays, len(points), len(names), REMEDY) for read in (read_candidates, read_bystanders))
-    return KeypointSeries(points, names, first, candidates, bystanders)
+    candidates = read_candidates(path, arrays, len(points), len(names), REMEDY)
+    return KeypointSeries(points, names, first, candidates, read_bystanders(path, arrays, len(points), len(names), REMEDY))
 
 
 def _names(path: Path, names: NDArray[np.generic]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
@@ -82,16 +83,16 @@ def read_detections(session: Session) -> tuple[list[View], list[list[People]], t
     return views, [list(frame) for frame in zip(*cameras, strict=True)], listed.pop()
 
 
-def _names(path: Path, arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+def _names(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> tuple[str, ...]:
     missing = [key for key in KEYS if key not in arrays]
     if missing:
         raise input_error(path, f"no `{missing[0]}`", KIND, REMEDY)
     return tuple(str(name) for name in arrays["names"].ravel())
 
 
-def _groups(path: Path, arrays: Mapping[str, np.ndarray], session: Session, view: View, keypoints: int) -> list[People]:
+def _groups(path: Path, arrays: Mapping[str, NDArray[np.generic]], session: Session, view: View, keypoints: int) -> list[People]:
     """The people of each frame of the session in one camera; nobody in frames that the file does not have."""
-    points, counts, first = arrays["detections"], arrays["counts"], arrays["first"]
+    points, counts, first = (np.asarray(arrays[key]) for key in ("detections", "counts", "first"))
     if points.ndim != 3 or points.shape[1:] != (keypoints, 3) or points.dtype.kind != "f":
         problem = f"{points.dtype} of shape {points.shape}"
         raise input_error(f"{path}: detections", problem, f"numbers of shape (detection, {keypoints}, 3)", REMEDY)
