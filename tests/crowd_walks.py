@@ -29,6 +29,8 @@ PARTS = (
 BEHIND_M, FEWEST = 0.15, 5
 # The speed of all walkers, m/s, and the least and the largest distance at which two who cross pass each other, metres.
 PACE, PASS_M = 1.25, (0.55, 1.2)
+# Curves that are drawn before a length counts as too short for two crossings.
+MOST_TRIES = 5000
 
 
 class Member(NamedTuple):
@@ -174,7 +176,7 @@ def crossing_curves(seed, length_m):
     They are waves of opposite sign, one a little ahead of the other, or circles.
     """
     rng, steps = np.random.default_rng((seed, 8)), np.linspace(0, 1.2 * length_m, 400)
-    while True:
+    for _ in range(MOST_TRIES):
         turn = rng.uniform(0, 2 * np.pi)
         R = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         curves = [curve @ R for curve in (_waves if seed % 2 == 0 else _circles)(rng, steps, length_m)]
@@ -182,6 +184,7 @@ def crossing_curves(seed, length_m):
         nearest = np.linalg.norm(walked[0] - walked[1], axis=1).min()
         if PASS_M[0] < nearest < PASS_M[1] and count_crossings(*walked) == count_crossings(*(way[8:-8] for way in walked)) == 2:
             return curves
+    raise ValueError(f"no such curves of {length_m:.1f} m: give more frames")
 
 
 def _waves(rng, steps, length_m):

@@ -1,6 +1,7 @@
 """The films of `crowd_walks`: paths cross twice, detections belong to the people, and `bayes-body import` reads what is written."""
 
 import numpy as np
+import pytest
 from crowd_walks import count_crossings, crossing_film, detect, door_film, poster_film, write_project
 
 from bayes_body.recording.evidence.markers import MARKERS
@@ -10,6 +11,7 @@ from bayes_body.recording.readers.truth import read_truth
 from bayes_body.workshop.simulation.visibility import pixels
 
 
+@pytest.mark.slow
 def test_two_people_cross_twice_and_their_detections_are_in_random_order():
     film = crossing_film(2, frames=150)
     first, second = (member.person.markers[:, MARKERS.index("pelvis"), :2] for member in film.members)
@@ -32,6 +34,7 @@ def test_two_people_cross_twice_and_their_detections_are_in_random_order():
     assert np.nanmedian(errors) < 5
 
 
+@pytest.mark.slow
 def test_a_project_is_imported_and_a_poster_stands_still(tmp_path):
     film = poster_film(0, 12)
     found = write_project(tmp_path / "project", film)
@@ -41,6 +44,7 @@ def test_a_project_is_imported_and_a_poster_stands_still(tmp_path):
     assert len(np.unique(read_truth(tmp_path / "project/truth_person_2.npz", 12)[:, 0], axis=0)) == 1
 
 
+@pytest.mark.slow
 def test_one_leaves_and_one_enters():
     film = door_film(0, frames=60, leaves=20, enters=40)
     frames = [{number for camera in detect(film).numbers for number in camera[frame]} for frame in range(60)]

@@ -42,7 +42,7 @@ def export(
     rate: float | None = typer.Option(None, "--rate", help="Frames a second, if the session's are wrong; no frame is added or left out."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace existing files."),
     spread: bool = typer.Option(False, "--spread", help="c3d only: standard deviation and quantiles of each axis as further points."),
-    together: bool = typer.Option(False, "--together", help="trc and c3d: all people in one file, with markers such as person_1:knee_r."),
+    in_one_file: bool = typer.Option(False, "--together", help="trc and c3d: all people in one file, with markers such as person_1:knee_r."),
     plugin: Plugins = None,
 ) -> None:
     """Write mean, standard deviation and 5 % and 95 % quantiles of markers and (csv, npz) of joint angles, those of clinicians included.
@@ -69,9 +69,9 @@ def export(
     with own_terms(plugin):
         options: Options = {"fps": rate, "up": axis, "overwrite": overwrite, "spread": spread}
         if len(runs) > 1:
-            _export_people(runs, names, out, together, options)
+            _export_people(runs, names, out, in_one_file, options)
             return
-        if together:
+        if in_one_file:
             raise input_error("--together", "with one run", "the runs of two or more people", "leave it out, or name the others' runs")
         outs = targets(names, out, runs[0])
         with load_run(runs[0]) as saved:
@@ -83,16 +83,16 @@ def export(
             say(f"{file}")
 
 
-def _export_people(runs: list[Path], names: tuple[str, ...], out: Path | None, together: bool, options: "Options") -> None:
+def _export_people(runs: list[Path], names: tuple[str, ...], out: Path | None, in_one_file: bool, options: "Options") -> None:
     """Write a file for each person, beside each other, or one for all."""
     from bayes_body.view.export.formats import DEFAULT_STEM, WRITERS, export_formats, files_of, targets
     from bayes_body.view.export.people import check_together, export_people
     from bayes_body.view.people import open_people
 
-    if together:
+    if in_one_file:
         check_together(names)
     with open_people(runs) as people:
-        if together:
+        if in_one_file:
             outs = targets(names, out, people.folder)
             motion = export_people(people, outs, **options)
             say(f"{len(motion.marker_names)} markers of {len(people.persons)} people, {motion.frames} frames, {motion.up} up")

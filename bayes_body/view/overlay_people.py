@@ -44,14 +44,14 @@ ABOVE_HEAD, ROOM, UPPERMOST = 8, 4, 0.1
 class Rectangle(NamedTuple):
     """A rectangle of a picture, pixels."""
 
-    left: int
+    first_column: int
     top: int
     right: int
     bottom: int
 
     def overlaps(self, rectangle: "Rectangle") -> bool:
         """Return whether the two have pixels in common."""
-        is_beside = self.right <= rectangle.left or rectangle.right <= self.left
+        is_beside = self.right <= rectangle.first_column or rectangle.right <= self.first_column
         return not (is_beside or self.bottom <= rectangle.top or rectangle.bottom <= self.top)
 
 

@@ -56,12 +56,12 @@ def _tile(session: Session, crowd: Crowd, person: Person, row: int, c: int) -> M
 
 
 def _draw(picture: MatLike, points: Float[np.ndarray, "keypoint 3"], names: Sequence[str], colour: tuple[int, int, int], thick: int) -> None:
-    seen = {name: point[:2] for name, point in zip(names, points, strict=True) if np.isfinite(point[:2]).all()}
+    places = {name: point[:2] for name, point in zip(names, points, strict=True) if np.isfinite(point[:2]).all()}
     pairs = [(f"{side}_{start}", f"{side}_{end}") for start, end in LINES for side in "lr"] + [("l_hip", "r_hip"), ("l_shoulder", "r_shoulder")]
     for start, end in pairs:
-        if start in seen and end in seen:
-            cv2.line(picture, _pixel(seen[start]), _pixel(seen[end]), colour, thick, cv2.LINE_AA)
-    for point in seen.values():
+        if start in places and end in places:
+            cv2.line(picture, _pixel(places[start]), _pixel(places[end]), colour, thick, cv2.LINE_AA)
+    for point in places.values():
         cv2.circle(picture, _pixel(point), thick, colour, cv2.FILLED, cv2.LINE_AA)
 
 

@@ -35,9 +35,9 @@ class Frame(NamedTuple):
     reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
     `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. `covered` (row, column) is where they cover its image: not
-    seen, for all that reads silhouettes. It is computed on first access, and None for a camera that sees no other person in this frame. All three are None
-    as a whole where no camera sees several people in any frame, except that `covered` also has the figures that the session says are not the
-    subject's.
+    seen, for all that reads silhouettes. It is computed on first access, and None for a camera that sees no other person in this frame. All three
+    are None as a whole where no camera sees several people in any frame, except that `covered` also has the figures that the session says are not
+    the subject's.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]

@@ -164,11 +164,11 @@ def _sections(people: People, tracks: Sequence[Moments], folder: Path) -> list[M
     pictures = [figures(middle, "large")] if stills else [no_stills]
     pictures += [details(f"{len(more)} more", figures(more, "large"))] if more else []
     distances = _distance_panel(people, tracks)
-    near = [tag("p", DISTANCES), figures([distances], "wide")] if distances else [tag("p", "No two people are there in the same frame.")]
+    paragraphs = [tag("p", DISTANCES), figures([distances], "wide")] if distances else [tag("p", "No two people are there in the same frame.")]
     return [
         section("people", "People", _table(people, folder)),
         section("paths", "Paths on the floor", tag("p", PATHS), figures([_plan(people, tracks)], "wide")),
-        section("distances", "Distances", *near),
+        section("distances", "Distances", *paragraphs),
         section("pictures", "Pictures", *pictures),
     ]
 
@@ -177,8 +177,8 @@ def _table(people: People, folder: Path) -> Markup:
     rows = []
     for person in people.persons:
         report = person.run.folder / RUN_REPORT
-        where = quote(Path(os.path.relpath(report.resolve(), folder.resolve())).as_posix(), errors="surrogateescape")
-        link = tag("a", "report", href=f"./{where}") if report.is_file() else "none yet"
+        address = quote(Path(os.path.relpath(report.resolve(), folder.resolve())).as_posix(), errors="surrogateescape")
+        link = tag("a", "report", href=f"./{address}") if report.is_file() else "none yet"
         disc = tag("span", "\u25cf", style=f"color: {person.ink}; font-size: 1.3em; line-height: 1")
         warnings, lost = person.run.summary.get("warnings"), person.run.summary.get("frames_lost")
         rows.append(
@@ -248,7 +248,7 @@ def _page(people: People, tracks: Sequence[Moments], sections: Sequence[Markup])
     Raises:
         InputError: it would be too large.
     """
-    doubts = [near.sentence for near in near_spans(people, tracks)]
+    doubts = [span.sentence for span in near_spans(people, tracks)]
     first, last = people.frames.start, people.frames[-1]
     titles = (("people", "People"), ("paths", "Paths on the floor"), ("distances", "Distances"), ("pictures", "Pictures"))
     values = {

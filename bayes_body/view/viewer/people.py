@@ -106,11 +106,13 @@ def _evidence(people: People, recordings: Sequence[Recording], number: int, side
     """Return what the recordings of those who are there have in a frame; cameras without images if nobody is."""
     present = [(person, recording) for person, recording in zip(people.persons, recordings, strict=True) if number in person.frames]
     # The images of the first are those of all.
-    seen = [recording.frame(number - person.run.first_frame, None if place else side) for place, (person, recording) in enumerate(present)]
-    if not seen:
+    evidence = [recording.frame(number - person.run.first_frame, None if place else side) for place, (person, recording) in enumerate(present)]
+    if not evidence:
         cameras = [view.camera for view in recordings[0].session.views]
         return Seen(cameras, [None] * len(cameras), np.zeros((0, 3)), np.zeros((0, 3)))
-    return seen[0]._replace(truth=np.concatenate([entry.truth for entry in seen]), keypoints=np.concatenate([entry.keypoints for entry in seen]))
+    return evidence[0]._replace(
+        truth=np.concatenate([entry.truth for entry in evidence]), keypoints=np.concatenate([entry.keypoints for entry in evidence])
+    )
 
 
 def _text(people: People, draws: int, has_truth: bool, has_keypoints: bool, remarks: Sequence[str]) -> Markup:

@@ -83,7 +83,8 @@ def read_bystanders(path: Path, arrays: Mapping[str, NDArray[np.generic]], frame
     points, counts = np.asarray(arrays["bystanders"]), np.asarray(arrays["bystander_counts"])
     if points.ndim != 3 or points.shape[1:] != (keypoints, 3) or points.dtype.kind != "f":
         raise input_error(f"{path}: bystanders", f"{points.dtype} of shape {points.shape}", f"numbers of shape (detection, {keypoints}, 3)", remedy)
-    if counts.shape != (frames,) or counts.dtype.kind not in "iu" or (counts < 0).any() or counts.sum() != len(points):
+    is_counted = counts.shape == (frames,) and counts.dtype.kind in "iu"
+    if not is_counted or counts.astype(np.int64).min(initial=0) < 0 or counts.astype(np.int64).sum() != len(points):
         expected = f"{frames} whole numbers that add up to {len(points)}, the detections"
         raise input_error(f"{path}: bystander_counts", f"{counts.dtype} of shape {counts.shape}", expected, remedy)
     return Bystanders(np.asarray(points, np.float32), counts.astype(np.int64))

@@ -73,10 +73,6 @@ class KeypointSeries(NamedTuple):
         """The keypoints of other people in a frame (camera's numbering), by name, as `frame` has the subject's."""
         return [self._named(points) for points in self.bystanders_in(number)]
 
-    def named_others_in(self, number: int) -> list[Keypoints]:
-        """The keypoints of each other person in a frame (camera's numbering), under the names of `frame`."""
-        return [self._named(points) for points in self.others_in(number)]
-
     def _row(self, number: int) -> int | None:
         row = number - self.first
         return row if 0 <= row < len(self.keypoints) else None

@@ -35,10 +35,10 @@ def distances(camera: CameraSpec, bodies: Bodies, people: People) -> Float[np.nd
     if not len(bodies) or not len(people):
         return np.full((len(bodies), len(people)), np.inf)
     pixels = bodies if bodies.shape[-1] == 2 else project(camera, bodies.reshape(-1, 3)).reshape(*bodies.shape[:2], 2)
-    apart = np.linalg.norm(pixels[:, None] - people[None, :, :, :2], axis=-1)
-    counts, sizes = (~np.isnan(apart)).sum(axis=-1, keepdims=True), sizes_of(people)
+    offsets_px = np.linalg.norm(pixels[:, None] - people[None, :, :, :2], axis=-1)
+    counts, sizes = (~np.isnan(offsets_px)).sum(axis=-1, keepdims=True), sizes_of(people)
     # Sorting puts NaN last. Of an even number this is the larger of the middle two.
-    medians = np.take_along_axis(np.sort(apart, axis=-1), np.minimum(counts // 2, apart.shape[-1] - 1), axis=-1)[..., 0]
+    medians = np.take_along_axis(np.sort(offsets_px, axis=-1), np.minimum(counts // 2, offsets_px.shape[-1] - 1), axis=-1)[..., 0]
     is_known = (counts[..., 0] >= FEWEST) & (sizes > 0)
     return np.where(is_known, medians / np.where(sizes > 0, sizes, 1.0), np.inf)
 

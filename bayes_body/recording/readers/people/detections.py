@@ -97,8 +97,9 @@ def _groups(path: Path, arrays: Mapping[str, NDArray[np.generic]], session: Sess
         problem = f"{points.dtype} of shape {points.shape}"
         raise input_error(f"{path}: detections", problem, f"numbers of shape (detection, {keypoints}, 3)", REMEDY)
     is_whole = counts.ndim == 1 and counts.dtype.kind in "iu" and first.dtype.kind in "iu" and first.size == 1
-    if not is_whole or (counts < 0).any() or counts.sum() != len(points):
+    if not is_whole or counts.astype(np.int64).min(initial=0) < 0 or counts.astype(np.int64).sum() != len(points):
         raise input_error(f"{path}: counts", f"{counts.dtype} of shape {counts.shape}", f"numbers that add up to {len(points)}", REMEDY)
+    counts = counts.astype(np.int64)
     ends = np.cumsum(counts)
     rows = [session.number(view, frame) - int(first.ravel()[0]) for frame in range(session.frames)]
     nobody = np.zeros((0, keypoints, 3))

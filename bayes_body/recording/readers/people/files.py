@@ -62,12 +62,14 @@ def _inside(camera: CameraSpec, group: People) -> People:
 
 def in_all_frames(person: Person, people: Sequence[Sequence[People]]) -> Person:
     """Return the person with rows for all frames of the recording; in those before the first and after the last nobody is detected."""
-    before, after = [
-        [[np.zeros(len(group)) for group in frame] for frame in frames] for frames in (people[: person.first], people[person.last + 1 :])
-    ]
-    places = np.pad(person.places, ((len(before), len(after)), (0, 0)), constant_values=-1)
-    bodies = np.pad(person.bodies, ((len(before), len(after)), (0, 0), (0, 0)), constant_values=np.nan)
-    return person._replace(first=0, last=len(people) - 1, places=places, shares=[*before, *person.shares, *after], bodies=bodies)
+
+    def absent(frames: Sequence[Sequence[People]]) -> list[list[np.ndarray]]:
+        return [[np.zeros(len(group)) for group in frame] for frame in frames]
+
+    leading, trailing = absent(people[: person.first]), absent(people[person.last + 1 :])
+    places = np.pad(person.places, ((len(leading), len(trailing)), (0, 0)), constant_values=-1)
+    bodies = np.pad(person.bodies, ((len(leading), len(trailing)), (0, 0), (0, 0)), constant_values=np.nan)
+    return person._replace(first=0, last=len(people) - 1, places=places, shares=[*leading, *person.shares, *trailing], bodies=bodies)
 
 
 def write_person(
@@ -93,7 +95,7 @@ def write_person(
         files[view.camera.name] = f"{KEYPOINTS}/{view.camera.name}.npz"
         write_series(folder / files[view.camera.name], series)
         first[view.camera.name] = _named(series.keypoints[0], names)
-    alone = replace(
+    person_session = replace(
         part,
         folder=folder,
         title=f"{session.title}, person {person.number}",
@@ -106,9 +108,9 @@ def write_person(
         truth=_truth(session, person, folder),
         calibration=None if session.calibration is None else _moved(session.calibration, session.folder, folder),
     )
-    alone, remarks = with_measured_lengths(alone)
-    save_session(alone)
-    return alone, remarks
+    person_session, remarks = with_measured_lengths(person_session)
+    save_session(person_session)
+    return person_session, remarks
 
 
 def _named(points: Float[np.ndarray, "keypoint 3"], names: Sequence[str]) -> Keypoints:
@@ -121,11 +123,11 @@ def _truth(session: Session, person: Person, folder: Path) -> str | None:
     return None if session.truth is None or person.number > 1 or person.first else _moved(session.truth, session.folder, folder)
 
 
-def _from_folder(view: View, before: Path, after: Path) -> View:
+def _from_folder(view: View, source: Path, target: Path) -> View:
     """Return a view whose relative paths start at another folder."""
     names = ("images", "video", "masks", "background", "path")
-    return replace(view, **{name: _moved(value, before, after) for name in names if (value := getattr(view, name)) is not None})
+    return replace(view, **{name: _moved(value, source, target) for name in names if (value := getattr(view, name)) is not None})
 
 
-def _moved(path: str, before: Path, after: Path) -> str:
-    return path if Path(path).is_absolute() else os.path.relpath(before / path, after)
+def _moved(path: str, source: Path, target: Path) -> str:
+    return path if Path(path).is_absolute() else os.path.relpath(source / path, target)

@@ -44,8 +44,8 @@ def match_known(cameras: Sequence[CameraSpec], people: Sequence[People], bodies:
     """
     chosen = [[None] * len(cameras) for _ in bodies]
     for c, (camera, group) in enumerate(zip(cameras, people, strict=True)):
-        apart = distances(camera, bodies, group)
-        costs = np.where(apart <= NEAR, apart, FAR)
+        misfits = distances(camera, bodies, group)
+        costs = np.where(misfits <= NEAR, misfits, FAR)
         for body, place in zip(*linear_sum_assignment(costs), strict=True):
             if costs[body, place] < FAR:
                 chosen[body][c] = int(place)
@@ -61,12 +61,12 @@ def agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], places: Pl
         body = body_of(cameras, people, places, is_robust)
         if body is None:
             return Match((None,) * len(places), None)
-        apart = [0.0 if place is None else _distance(cameras[c], body, people[c], place) for c, place in enumerate(places)]
-        if max(apart) <= limit:
+        misfits = [0.0 if place is None else _distance(cameras[c], body, people[c], place) for c, place in enumerate(places)]
+        if max(misfits) <= limit:
             return Match(places, body)
     if count == 2:
         return Match((None,) * len(places), None)
-    worst = int(np.argmax(apart))
+    worst = int(np.argmax(misfits))
     return agreeing(cameras, people, tuple(None if c == worst else place for c, place in enumerate(places)))
 
 
@@ -117,8 +117,8 @@ def _extended(cameras: Sequence[CameraSpec], people: Sequence[People], free: Seq
     for c, place in enumerate(pair):
         candidates = sorted(free[c])
         if place is None and candidates:
-            apart = distances(cameras[c], body[None], people[c][candidates])[0]
-            places[c] = candidates[int(apart.argmin())] if apart.min() <= SAME else None
+            misfits = distances(cameras[c], body[None], people[c][candidates])[0]
+            places[c] = candidates[int(misfits.argmin())] if misfits.min() <= SAME else None
     return tuple(places)
 
 

@@ -68,7 +68,7 @@ def people_of(
     tracks = follow_people(cameras, people, fps, watch)
     bodies = [_filled(track) for track in tracks]
     pairs = list(zip(tracks, bodies, strict=True))
-    shares, apart = (
+    shares, misfits_of = (
         [[[np.full(len(group), value) for group in people[track.first + row]] for row in range(len(body))] for track, body in pairs]
         for value in (0.0, np.inf)
     )
@@ -76,38 +76,38 @@ def people_of(
         present = [i for i, track in enumerate(tracks) if track.first <= frame <= track.last]
         if not present:
             continue
-        expected = np.array([_around(bodies[i], frame - tracks[i].first) for i in present])
+        expected = np.array([_interpolated(bodies[i], frame - tracks[i].first) for i in present])
         for c, (camera, group) in enumerate(zip(cameras, groups, strict=True)):
             if not len(group):
                 continue
             rows = distances(camera, expected, group)
             for i, shares_of_person, distances_of_person in zip(present, exclude(weights_of(rows)), rows, strict=True):
                 shares[i][frame - tracks[i].first][c] = shares_of_person
-                apart[i][frame - tracks[i].first][c] = distances_of_person
-    persons = [_person(*arguments) for arguments in zip(tracks, bodies, shares, apart, strict=True)]
+                misfits_of[i][frame - tracks[i].first][c] = distances_of_person
+    persons = [_person(*arguments) for arguments in zip(tracks, bodies, shares, misfits_of, strict=True)]
     persons.sort(key=lambda person: (-person.pictures, person.first))
     return [person._replace(number=number) for number, person in enumerate(persons, 1)]
 
 
-def _person(track: Track, bodies: np.ndarray, shares: list[list[np.ndarray]], apart: list[list[np.ndarray]]) -> Person:
+def _person(track: Track, bodies: np.ndarray, shares: list[list[np.ndarray]], misfits_of: list[list[np.ndarray]]) -> Person:
     places = np.array([[int(row.argmax()) if len(row) and row.max() > 0 else -1 for row in frame] for frame in shares])
-    misfits = [row[place] for frame, chosen in zip(apart, places, strict=True) for row, place in zip(frame, chosen, strict=True) if place >= 0]
+    misfits = [row[place] for frame, chosen in zip(misfits_of, places, strict=True) for row, place in zip(frame, chosen, strict=True) if place >= 0]
     return Person(0, track.first, track.last, places, shares, bodies, float(np.median(misfits)) if misfits else np.inf)
 
 
 def _filled(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
     """The body in every frame from the first to the last: between frames in which it was seen, on a straight line."""
     frames = np.array(sorted(track.bodies))
-    known, every = np.array([track.bodies[frame] for frame in frames.tolist()]), np.arange(track.first, track.last + 1)
-    flat = known.reshape(len(known), -1)
+    seen_bodies, every = np.array([track.bodies[frame] for frame in frames.tolist()]), np.arange(track.first, track.last + 1)
+    flat = seen_bodies.reshape(len(seen_bodies), -1)
     columns = [np.interp(every, frames, column) for column in flat.T]
-    return np.stack(columns, axis=-1).reshape(len(every), *known.shape[1:])
+    return np.stack(columns, axis=-1).reshape(len(every), *seen_bodies.shape[1:])
 
 
-def _around(bodies: Float[np.ndarray, "frame keypoint _"], row: int) -> Float[np.ndarray, "keypoint _"]:
+def _interpolated(bodies: Float[np.ndarray, "frame keypoint _"], row: int) -> Float[np.ndarray, "keypoint _"]:
     """The body of a frame by those before and after it."""
-    before, after = bodies[max(row - 1, 0)], bodies[min(row + 1, len(bodies) - 1)]
-    return 0.5 * (before + after)
+    previous_body, next_body = bodies[max(row - 1, 0)], bodies[min(row + 1, len(bodies) - 1)]
+    return 0.5 * (previous_body + next_body)
 
 
 def describe_people(persons: Sequence[Person], cameras: int, numbers: Callable[[int], int], most: int, limit: int) -> list[str]:

@@ -28,9 +28,9 @@ type Weights = Float[np.ndarray, "person detection"]
 type Shares = Float[np.ndarray, "person detection"]
 
 
-def weights_of(apart: Float[np.ndarray, "person detection"]) -> Weights:
+def weights_of(distances: Float[np.ndarray, "person detection"]) -> Weights:
     """Return the weights of distances; 0 for infinite ones."""
-    return np.exp(-0.5 * (apart / SPREAD) ** 2)
+    return np.exp(-0.5 * (distances / SPREAD) ** 2)
 
 
 def joint_shares(weights: Weights) -> Shares:
@@ -49,27 +49,27 @@ def joint_shares(weights: Weights) -> Shares:
     total = forward[-1].sum()
     shares, sets = np.zeros(weights.shape), np.arange(states)
     for person in range(people):
-        rest = backward[people - person - 1]
+        remainder = backward[people - person - 1]
         for k in range(detections):
             free = sets[(sets >> k & 1) == 0]
-            shares[person, k] = weights[person, k] * (forward[person][free] * rest[free | 1 << k]).sum() / total
+            shares[person, k] = weights[person, k] * (forward[person][free] * remainder[free | 1 << k]).sum() / total
     return _limited(shares)
 
 
-def _with_person(before: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    after, sets = MISSED * before, np.arange(len(before))
+def _with_person(weights_before: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    weights_after, sets = MISSED * weights_before, np.arange(len(weights_before))
     for k, weight in enumerate(weights):
         free = sets[(sets >> k & 1) == 0]
-        after[free | 1 << k] += weight * before[free]
-    return after
+        weights_after[free | 1 << k] += weight * weights_before[free]
+    return weights_after
 
 
-def _before_person(after: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    before, sets = MISSED * after, np.arange(len(after))
+def _before_person(weights_after: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    weights_before, sets = MISSED * weights_after, np.arange(len(weights_after))
     for k, weight in enumerate(weights):
         free = sets[(sets >> k & 1) == 0]
-        before[free] += weight * after[free | 1 << k]
-    return before
+        weights_before[free] += weight * weights_after[free | 1 << k]
+    return weights_before
 
 
 def mean_field_shares(weights: Weights) -> Shares:
@@ -77,8 +77,8 @@ def mean_field_shares(weights: Weights) -> Shares:
     shares = weights / (MISSED + weights.sum(axis=1, keepdims=True))
     for _ in range(ROUNDS):
         for person in range(len(weights)):
-            rest = np.prod(1 - np.delete(shares, person, axis=0), axis=0)
-            excluded = weights[person] * rest
+            remainder = np.prod(1 - np.delete(shares, person, axis=0), axis=0)
+            excluded = weights[person] * remainder
             shares[person] = excluded / (MISSED + excluded.sum())
     return _limited(shares)
 

@@ -122,17 +122,17 @@ def _opened(cameras: Sequence[CameraSpec], groups: Sequence[People], matches: Se
     tracks = list[Track]()
     for match in new_people(cameras, groups, taken):
         assert match.body is not None
-        is_new = len(cameras) == 1 or all(_apart(track.predicted(frame), match.body) > SAME_M for track in current)
+        is_new = len(cameras) == 1 or all(_separation(track.predicted(frame), match.body) > SAME_M for track in current)
         if is_new:
             tracks.append(Track())
             tracks[-1].see(frame, match)
     return tracks
 
 
-def _apart(body: np.ndarray, rival: np.ndarray) -> float:
+def _separation(body: np.ndarray, rival: np.ndarray) -> float:
     """The median distance between the keypoints of two bodies that are known, metres."""
-    apart = np.linalg.norm(body - rival, axis=-1)
-    return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else np.inf
+    separation = np.linalg.norm(body - rival, axis=-1)
+    return float(np.median(separation[np.isfinite(separation)])) if np.isfinite(separation).any() else np.inf
 
 
 def _is_over(track: Track, frame: int) -> bool:
@@ -145,31 +145,31 @@ def _joined(tracks: Sequence[Track], fps: float) -> list[Track]:
     """Return the tracks with those of people who came back joined."""
     joined = list[Track]()
     for track in tracks:
-        earlier = [person for person in joined if _came_back(person, track, fps)]
-        if not earlier:
+        predecessor = [person for person in joined if _came_back(person, track, fps)]
+        if not predecessor:
             joined.append(track)
             continue
-        person = max(earlier, key=lambda person: person.last)
+        person = max(predecessor, key=lambda person: person.last)
         person.places |= track.places
         person.bodies |= track.bodies
     return joined
 
 
-def _came_back(earlier: Track, later: Track, fps: float) -> bool:
-    away_s = (later.first - earlier.last) / fps
-    if not 0 < away_s <= AWAY_S or earlier.bodies[earlier.last].shape[-1] == 2:
+def _came_back(predecessor: Track, successor: Track, fps: float) -> bool:
+    away_s = (successor.first - predecessor.last) / fps
+    if not 0 < away_s <= AWAY_S or predecessor.bodies[predecessor.last].shape[-1] == 2:
         return False
-    apart = _apart(later.bodies[later.first], earlier.bodies[earlier.last])
-    return bool(apart <= NEAR_M + SPEED * away_s) and abs(_log_size(earlier) - _log_size(later)) <= ALIKE
+    separation = _separation(successor.bodies[successor.first], predecessor.bodies[predecessor.last])
+    return bool(separation <= NEAR_M + SPEED * away_s) and abs(_log_size(predecessor) - _log_size(successor)) <= ALIKE
 
 
 def _log_size(track: Track) -> float:
     """The logarithm of a person's size: of the median distance between keypoints, over keypoints and frames."""
-    bodies = _known(track)
+    bodies = _seen_bodies(track)
     return float(np.log(np.nanmedian(np.linalg.norm(bodies - np.nanmean(bodies, axis=1, keepdims=True), axis=-1))))
 
 
-def _known(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
+def _seen_bodies(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
     """The bodies of a track, with the keypoints that were seen at some time."""
     bodies = np.array(list(track.bodies.values()))
     return bodies[:, np.isfinite(bodies).all(axis=-1).any(axis=0)]
@@ -179,7 +179,7 @@ def is_picture(track: Track, fps: float) -> bool:
     """Whether a track is a picture of a person, such as a poster: flat, and always at one place."""
     if track.last - track.first < STILL_S * fps:
         return False
-    bodies = _known(track)
+    bodies = _seen_bodies(track)
     mean = np.nanmedian(bodies, axis=0)
     moved = np.nanmedian(np.linalg.norm(np.nanmedian(bodies, axis=1) - np.nanmedian(mean, axis=0), axis=-1))
     thickness = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(mean))

@@ -1,0 +1,139 @@
+"""Who is there: films of two and three people, as a network writes them, and the shares of people who exclude each other."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from crowd_walks import background_film, crossing_film, detect, door_film, poster_film, write_project
+
+from bayes_body.base.errors import InputError
+from bayes_body.cli.main import main
+from bayes_body.recording.readers.keypoints.person import distinct_people
+from bayes_body.recording.readers.keypoints.series import read_series
+from bayes_body.recording.readers.people.people import people_of
+from bayes_body.recording.readers.people.shares import MISSED, joint_shares, mean_field_shares
+from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
+from bayes_body.recording.session.read import load_session
+
+
+def seen_people(film, seed):
+    """The people of each frame and camera without doubles, and the true number of everybody in them."""
+    detections = detect(film, seed=seed)
+    people, numbers = [], []
+    for frame in range(len(detections.points[0])):
+        groups = [camera[frame] for camera in detections.points]
+        distinct = [distinct_people(group) if len(group) else group for group in groups]
+        rows = [
+            [next(i for i, row in enumerate(group) if np.array_equal(row, one, equal_nan=True)) for one in few]
+            for group, few in zip(groups, distinct)
+        ]
+        people.append(distinct)
+        numbers.append([camera[frame][row] for camera, row in zip(detections.numbers, rows, strict=True)])
+    return people, numbers
+
+
+def identities(person, numbers):
+    """The true number of a person in each frame, by the majority of the cameras; 0 where nobody is seen."""
+    rows = [
+        [numbers[person.first + row][c][place] for c, place in enumerate(places) if place >= 0] for row, places in enumerate(person.places.tolist())
+    ]
+    return np.array([np.bincount(row).argmax() if row else 0 for row in rows])
+
+
+@pytest.mark.slow
+def test_two_who_cross_twice_are_not_exchanged():
+    film = crossing_film(3)
+    people, numbers = seen_people(film, 3)
+    persons = people_of(film.rig.cameras, people, film.rig.fps)
+    assert len(persons) == 2
+    for person in persons:
+        seen = identities(person, numbers)
+        usual = np.bincount(seen).argmax()
+        assert (seen[seen > 0] != usual).sum() <= 3
+        assert person.frames == len(people)
+        assert person.misfit < 0.05
+
+
+@pytest.mark.slow
+def test_one_leaves_and_one_enters_and_a_poster_is_nobody():
+    film = door_film(0, frames=150, leaves=60, enters=90)
+    persons = people_of(film.rig.cameras, seen_people(film, 0)[0], film.rig.fps)
+    assert len(persons) == 3
+    assert sorted((person.first, person.last) for person in persons) == [
+        (pytest.approx(0, abs=10), pytest.approx(59, abs=10)),
+        (pytest.approx(0, abs=10), pytest.approx(149, abs=10)),
+        (pytest.approx(90, abs=10), pytest.approx(149, abs=10)),
+    ]
+    film = poster_film(1, frames=90)
+    assert len(people_of(film.rig.cameras, seen_people(film, 1)[0], film.rig.fps)) == 1
+
+
+def test_one_camera_follows_in_the_image():
+    film = background_film(2, 40)._replace(cameras=("C1",))
+    persons = people_of(film.rig.cameras, seen_people(film, 2)[0], film.rig.fps)
+    assert persons[0].bodies.shape[-1] == 2
+    assert persons[0].pictures > 30
+
+
+def test_shares_are_sums_over_all_assignments():
+    weights = np.random.default_rng(0).uniform(0.05, 1, (3, 4))
+    expected, total = np.zeros((3, 4)), 0.0
+    for chosen in product(range(5), repeat=3):
+        taken = [k for k in chosen if k < 4]
+        if len(set(taken)) < len(taken):
+            continue
+        weight = np.prod([weights[p, k] if k < 4 else MISSED for p, k in enumerate(chosen)])
+        total += weight
+        for p, k in enumerate(chosen):
+            if k < 4:
+                expected[p, k] += weight
+    np.testing.assert_allclose(joint_shares(weights), expected / total, atol=2e-3)
+    # A detection is of one person at most.
+    assert joint_shares(weights).sum(axis=0).max() <= 1
+    # Where somebody explains a detection beyond doubt, both ways exclude the others.
+    sure = np.array([[1.0, 1e-12], [0.8, 0.5]])
+    for way in (joint_shares, mean_field_shares):
+        assert way(sure)[0, 0] > 0.9
+        assert way(sure)[1, 1] > 0.9
+
+
+def test_of_a_crowd_the_largest_are_looked_at():
+    rng = np.random.default_rng(0)
+    # Forty of one shape, in random order of size.
+    sizes = rng.permutation(40) + 1.0
+    crowd = rng.uniform(0, 10, (15, 3)) * sizes[:, None, None]
+    people, most = limited([[crowd]])
+    assert most == 40
+    np.testing.assert_array_equal(people[0][0], crowd[sizes > 40 - MOST_PEOPLE])
+
+
+@pytest.mark.slow
+def test_everybody_becomes_a_session(tmp_path, capsys):
+    write_project(tmp_path / "project", background_film(2, 60), seed=2)
+    with pytest.raises(SystemExit, match="0"):
+        main(["import", "pose2sim", str(tmp_path / "project"), str(tmp_path / "session"), "--up", "z", "--fps", "60"])
+    assert "There are 2 people. Person 1 is the subject" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="0"):
+        main(["people", str(tmp_path / "session")])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines if line[:1].isdecimal()] == ["1", "2"]
+    for number in (1, 2):
+        session = load_session(tmp_path / "session" / "people" / f"person_{number}")
+        assert session.frames == 60
+        assert (session.folder / "picture.png").exists()
+        series = read_series(session.keypoints_path(session.views[0]))
+        assert series.candidates.shares.sum(axis=1).max() <= 1
+        assert len(series.bystanders_in(10)) >= 1
+    with pytest.raises(SystemExit, match="2"):
+        main(["track", str(tmp_path / "session"), "--person", "3"])
+    assert "--person: 3, but" in capsys.readouterr().err
+
+
+def test_a_session_without_several_people_says_so(tmp_path):
+    from keypoint_walks import Network, person_of, shipped_walk, walk_session
+
+    from bayes_body.recording.readers.people.record import read_crowd
+
+    session, _ = walk_session(tmp_path / "walk", person_of(shipped_walk(2, 0), False), Network())
+    with pytest.raises(InputError, match="one person is tracked without --person"):
+        read_crowd(session)
