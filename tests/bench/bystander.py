@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402
 
 from bayes_body.base.files.shipped import definitions_folder  # noqa: E402
 from bayes_body.recording.evidence.markers import MARKERS  # noqa: E402
-from bayes_body.recording.readers.keypoints.candidates import OtherPeople  # noqa: E402
+from bayes_body.recording.readers.keypoints.candidates import Bystanders  # noqa: E402
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series  # noqa: E402
 from bayes_body.recording.readers.rig import read_rig  # noqa: E402
 from bayes_body.recording.session.read import load_session  # noqa: E402
@@ -99,7 +99,7 @@ def with_others(session, rig, landmarks, other_landmarks, seed):
     views = []
     for view, points, other in zip(session.views, subject_points, other_points, strict=True):
         name = f"keypoints/{view.camera.name}.npz"
-        others = OtherPeople(other.astype(np.float32), np.ones(len(other), np.int64))
+        others = Bystanders(other.astype(np.float32), np.ones(len(other), np.int64))
         write_series(session.folder / name, KeypointSeries(points, MARKERS, 0, None, others))
         views.append(replace(view, keypoints=name))
     return replace(session, views=tuple(views))

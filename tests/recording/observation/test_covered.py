@@ -13,7 +13,7 @@ from bayes_body.recording.evidence.regions import NEUTRAL
 from bayes_body.recording.evidence.silhouette_edges import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
 from bayes_body.recording.observation.covered import ambiguous, covered_by, other_figures
 from bayes_body.recording.observation.frames import Frame, read_frame
-from bayes_body.recording.readers.keypoints.candidates import OtherPeople
+from bayes_body.recording.readers.keypoints.candidates import Bystanders
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.recording.session.session import Segmentation
@@ -155,7 +155,7 @@ def recording(tmp_path_factory, textured_session):
     for name, (column, row) in STANDING.items():
         if name in MARKERS:
             points[0, MARKERS.index(name)] = column * width / 200, row * height / 240, 0.9
-    others = OtherPeople(points, np.array([0, 1]))
+    others = Bystanders(points, np.array([0, 1]))
     write_series(folder / "crowd.npz", KeypointSeries(np.full((2, len(MARKERS), 3), np.nan, np.float32), MARKERS, 0, None, others))
     views = (replace(view, images="%d.png", masks="m%d.png", keypoints="crowd.npz"),)
     return replace(textured_session, folder=folder, views=views, frames=2), mask
@@ -172,6 +172,6 @@ def test_frames_of_a_recording_with_other_people(recording):
     alone = replace(session, views=(replace(session.views[0], keypoints=None),))
     assert read_frame(alone, 0).covered is None
     largest = replace(alone, segmentation=Segmentation(figures="largest"))
-    (others,) = read_frame(largest, 0).covered
-    assert others[: height // 4, -width // 8 :].all() and not others[:, : width // 8].any()
+    (hidden,) = read_frame(largest, 0).covered
+    assert hidden[: height // 4, -width // 8 :].all() and not hidden[:, : width // 8].any()
     assert load_session(save_session(largest)).segmentation.figures == "largest"

@@ -25,7 +25,7 @@ def seen_people(film, seed):
         distinct = [distinct_people(group) if len(group) else group for group in groups]
         rows = [
             [next(i for i, row in enumerate(group) if np.array_equal(row, one, equal_nan=True)) for one in few]
-            for group, few in zip(groups, distinct)
+            for group, few in zip(groups, distinct, strict=True)
         ]
         people.append(distinct)
         numbers.append([camera[frame][row] for camera, row in zip(detections.numbers, rows, strict=True)])
