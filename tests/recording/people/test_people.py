@@ -8,8 +8,10 @@ from crowd_walks import background_film, crossing_film, detect, door_film, poste
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
+from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoints.person import distinct_people
 from bayes_body.recording.readers.keypoints.series import read_series
+from bayes_body.recording.readers.people.files import in_all_frames, series_of
 from bayes_body.recording.readers.people.people import people_of
 from bayes_body.recording.readers.people.shares import MISSED, joint_shares, mean_field_shares
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
@@ -105,6 +107,25 @@ def test_of_a_crowd_the_largest_are_looked_at():
     people, most = limited([[crowd]])
     assert most == 40
     np.testing.assert_array_equal(people[0][0], crowd[sizes > 40 - MOST_PEOPLE])
+
+
+def test_frames_in_which_nobody_is_detected():
+    """As files are read: without people a frame has no keypoints either."""
+    film = background_film(2, 40)
+    people, _ = seen_people(film, 2)
+    for c in range(len(people[20])):
+        people[20][c] = np.zeros((0, 0, 3))
+    people[21][1] = np.zeros((0, 0, 3))
+    few = [[np.full((1, len(MARKERS), 3), np.nan)] for _ in range(10)]
+    few[0][0][0, :3] = 5.0
+    assert people_of(film.rig.cameras[:1], few, film.rig.fps) == []
+    persons = people_of(film.rig.cameras, people, film.rig.fps)
+    assert len(persons) == 2
+    series = series_of(in_all_frames(persons[0], people), film.rig.cameras[1], 1, people, MARKERS, 0)
+    assert series.frame(20) == {}
+    assert len(series.bystanders_in(20)) == 0
+    crowd = [[np.zeros((0, 0, 3)), np.ones((40, len(MARKERS), 3))]]
+    assert [len(group) for group in limited(crowd)[0][0]] == [0, MOST_PEOPLE]
 
 
 @pytest.mark.slow

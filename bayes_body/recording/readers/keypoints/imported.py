@@ -27,7 +27,7 @@ from bayes_body.recording.readers.keypoints.series import KeypointSeries, follow
 from bayes_body.recording.readers.keypoints.stature import check_stature, measure_stature, triangulated_body
 from bayes_body.recording.readers.keypoints.units import check_unit, in_pixels
 from bayes_body.recording.readers.options import Options
-from bayes_body.recording.readers.people.detections import write_detections
+from bayes_body.recording.readers.people.detections import remove_detections, write_detections
 from bayes_body.recording.readers.people.files import in_all_frames, series_of
 from bayes_body.recording.readers.people.people import Person, describe_people, people_of
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
@@ -278,6 +278,7 @@ def _main_person(
     None if no camera sees two people in any frame, if no two cameras agree on anybody, or if a camera moves.
     """
     if session.moves or all(len(group) < 2 for frame in people for group in frame):
+        remove_detections(session)
         return None, []
     write_detections(session, views, people, names)
     persons = people_of([view.camera for view in views], people, session.fps, watched("following the people", progress))

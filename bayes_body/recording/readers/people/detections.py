@@ -35,6 +35,12 @@ def has_detections(session: Session) -> bool:
     return any(detections_path(session, view).exists() for view in session.views)
 
 
+def remove_detections(session: Session) -> None:
+    """Remove the files of an earlier import."""
+    for view in session.views:
+        detections_path(session, view).unlink(missing_ok=True)
+
+
 def write_detections(session: Session, views: Sequence[View], people: Sequence[Sequence[People]], names: Sequence[str]) -> None:
     """Write the files.
 

@@ -36,12 +36,14 @@ def series_of(person: Person, camera: CameraSpec, c: int, people: Sequence[Seque
         names: of the keypoints.
         first: the number of the person's first frame in the camera's numbering.
     """
-    groups = [_inside(camera, people[person.first + row][c]) for row in range(person.frames)]
+    nobody = np.zeros((0, len(names), 3))
+    frames = (people[person.first + row][c] for row in range(person.frames))
+    groups = [_inside(camera, group) if len(group) else nobody for group in frames]
     shares = [frame[c] for frame in person.shares]
-    nobody = np.full((len(names), 3), np.nan)
-    points = np.array([nobody if place < 0 else group[place] for group, place in zip(groups, person.places[:, c].tolist(), strict=True)])
+    unseen = np.full((len(names), 3), np.nan)
+    points = np.array([unseen if place < 0 else group[place] for group, place in zip(groups, person.places[:, c].tolist(), strict=True)])
     strangers = [group[row < 0.5] for group, row in zip(groups, shares, strict=True)]
-    bystanders = Bystanders(np.concatenate(strangers) if strangers else np.zeros((0, len(names), 3)), np.array([len(group) for group in strangers]))
+    bystanders = Bystanders(np.concatenate([nobody, *strangers]), np.array([len(group) for group in strangers]))
     return KeypointSeries(points, names, first, _candidates(groups, shares, len(names)), bystanders)
 
 

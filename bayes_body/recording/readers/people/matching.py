@@ -1,6 +1,6 @@
 """Which detections of a frame belong together: to people who were there before, and to new ones.
 
-A known person is where his motion leads him. In each camera, detections and known people are paired one to one, so that the sum of their distances is
+A known person is where the motion leads. In each camera, detections and known people are paired one to one, so that the sum of their distances is
 least. Of the detections of a person, those stay that agree with the body that they show together.
 
 New people come from detections that nobody explains. Every pair of them from two cameras gives a body. Other cameras agree if they have a detection
@@ -84,7 +84,8 @@ def new_people(cameras: Sequence[CameraSpec], people: Sequence[People], taken: S
     """
     free = [set(range(len(group))) - used for group, used in zip(people, taken, strict=True)]
     if len(cameras) == 1:
-        return [Match((place,), body_of(cameras, people, (place,))) for place in sorted(free[0])]
+        matches = (Match((place,), body_of(cameras, people, (place,))) for place in sorted(free[0]))
+        return [match for match in matches if match.body is not None]
     proposals = {match.places: match for pair in combinations(range(len(cameras)), 2) for match in _of_pair(cameras, people, free, *pair)}
     ranked = sorted(proposals.values(), key=lambda match: (match.places.count(None), _misfit(cameras, people, match)))
     chosen = list[Match]()

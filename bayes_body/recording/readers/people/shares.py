@@ -11,8 +11,6 @@ People exclude each other, as a detection is of one person at most. There are tw
 - mean field: each person has shares of his own, $q_{pk} \propto w_{pk} \prod_{r \ne p} (1 - q_{rk})$, which are iterated.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float
 
@@ -86,6 +84,3 @@ def mean_field_shares(weights: Weights) -> Shares:
 def _limited(shares: Shares) -> Shares:
     shares = np.where(shares < LEAST, 0.0, shares)
     return shares * np.minimum(1.0, MOST / np.maximum(shares.sum(axis=1, keepdims=True), MOST))
-
-
-EXCLUSIONS: dict[str, Callable[[Weights], Shares]] = {"joint": joint_shares, "mean field": mean_field_shares}

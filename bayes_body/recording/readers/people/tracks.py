@@ -1,7 +1,7 @@
-"""People over time: a person is opened when cameras agree in several frames, followed by his motion, and closed when two cameras see him no longer.
+"""People over time: a person is opened when cameras agree in several frames, followed by motion, and closed when no two cameras see the person.
 
-A person who comes back soon, at a place that he can have reached and with the same lengths between keypoints, is the same one. What is flat and does
-not move is a picture of a person.
+A person who comes back soon, at a place that can have been reached, and with the same lengths between keypoints, is the same one. What is flat and
+does not move is a picture of a person.
 """
 
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ from jaxtyping import Float
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.readers.people.bodies import sizes_of
-from bayes_body.recording.readers.people.matching import Match, Places, match_known, new_people
+from bayes_body.recording.readers.people.matching import Match, match_known, new_people
 from bayes_body.recording.session.session import CameraSpec
 
-# A person is closed after so many frames in which too few cameras see him, and needs as many sightings as OPENED within as many frames.
+# A person is closed after so many frames in which too few cameras see the person; after OPENED, if there were fewer sightings than that.
 CLOSED, OPENED = 10, 4
 # A shorter track is a ghost.
 SHORTEST = 8
 # New people are looked for in every so many frames: it takes as long as ten frames of following.
 LOOK_EVERY = 3
-# The velocity of a person is that of the last frames, with weights that fall by this factor, and slows down as fast where nobody sees him.
+# The velocity of a person is that of the last frames, with weights that fall by this factor, and slows down as fast where nobody is seen.
 SMOOTHING = 0.7
 # A person who was away for at most this time, seconds, may have moved so far, metres and metres a second, with lengths so alike (logarithm).
 AWAY_S, NEAR_M, SPEED, ALIKE = 2.0, 0.3, 1.5, 0.08
@@ -36,15 +36,13 @@ MOST_PEOPLE = 12
 
 @dataclass
 class Track:
-    """A person, as far as he was followed.
+    """A person, as far as he or she was followed.
 
     Attributes:
-        places: his detection in every camera, by frame.
-        bodies: his body, by frame in which enough cameras saw him.
-        velocity: of his body, per frame.
+        bodies: by frame in which enough cameras see the person.
+        velocity: of the body, per frame.
     """
 
-    places: dict[int, Places] = field(default_factory=dict)
     bodies: dict[int, Float[np.ndarray, "keypoint _"]] = field(default_factory=dict)
     velocity: Float[np.ndarray, " _"] = field(default_factory=lambda: np.zeros(1))
 
@@ -59,16 +57,14 @@ class Track:
         return max(self.bodies)
 
     def predicted(self, frame: int) -> Float[np.ndarray, "keypoint _"]:
-        """Return his body in a later frame, by his motion."""
+        """Return the body in a later frame, by its motion."""
         gone = frame - self.last
         travelled = self.velocity * sum(SMOOTHING**step for step in range(gone)) if gone > 1 else self.velocity
         return self.bodies[self.last] + travelled
 
     def see(self, frame: int, match: Match) -> None:
-        """Take a frame's detections, and the body that they show if they show one."""
+        """Take the body that a frame's detections show, if they show one."""
         body = match.body
-        if any(place is not None for place in match.places):
-            self.places[frame] = match.places
         if body is None:
             return
         if self.bodies:
@@ -89,7 +85,11 @@ def limited(people: Sequence[Sequence[People]]) -> tuple[list[list[People]], int
     most = max((len(group) for frame in people for group in frame), default=0)
     if most <= MOST_PEOPLE:
         return [list(frame) for frame in people], most
-    return [[group[np.sort(np.argsort(-sizes_of(group), kind="stable")[:MOST_PEOPLE])] for group in frame] for frame in people], most
+    return [[_largest(group) for group in frame] for frame in people], most
+
+
+def _largest(group: People) -> People:
+    return group if len(group) <= MOST_PEOPLE else group[np.sort(np.argsort(-sizes_of(group), kind="stable")[:MOST_PEOPLE])]
 
 
 def follow_people(cameras: Sequence[CameraSpec], people: Sequence[Sequence[People]], fps: float, watch: Watch = unwatched) -> list[Track]:
@@ -137,8 +137,7 @@ def _separation(body: np.ndarray, rival: np.ndarray) -> float:
 
 def _is_over(track: Track, frame: int) -> bool:
     """Whether a person is no longer in view, or was a ghost: not seen again in the frames that would have opened him."""
-    age = frame - track.first
-    return frame - track.last >= CLOSED or (OPENED <= age < CLOSED and len(track.bodies) < OPENED and frame - track.last > OPENED)
+    return frame - track.last >= (CLOSED if len(track.bodies) >= OPENED else OPENED)
 
 
 def _joined(tracks: Sequence[Track], fps: float) -> list[Track]:
@@ -150,7 +149,6 @@ def _joined(tracks: Sequence[Track], fps: float) -> list[Track]:
             joined.append(track)
             continue
         person = max(predecessor, key=lambda person: person.last)
-        person.places |= track.places
         person.bodies |= track.bodies
     return joined
 
