@@ -34,10 +34,9 @@ class Frame(NamedTuple):
     if it was asked for and there is one; it knows no frame before itself. `have_image` says which cameras see the frame if that is known without
     reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
-    `bystanders` are the keypoints (person, keypoint, 3) of other people in each camera. `covered` (row, column) is where they cover its image: not
-    seen, for all that reads silhouettes. It is computed on first access, and None for a camera that sees no other person in this frame. All three
-    are None as a whole where no camera sees several people in any frame, except that `covered` also has the figures that the session says are not
-    the subject's.
+    `covered` (row, column) is where other people cover each camera's image: not seen, for all that reads silhouettes. It is computed on first access,
+    and None for a camera that sees no other person in this frame. Both are None as a whole where no camera sees several people in any frame, except
+    that `covered` also has the figures that the session says are not the subject's.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -50,7 +49,6 @@ class Frame(NamedTuple):
     before: "Frame | None" = None
     have_image: tuple[bool, ...] | None = None
     candidates: tuple[tuple[tuple[Keypoints, float], ...], ...] | None = None
-    bystanders: tuple[NDArray[np.floating], ...] | None = None
     covered: Sequence[NDArray[np.bool_] | None] | None = None
 
     @property
@@ -109,17 +107,17 @@ def read_frame(
     seen_pictures = [picture if has_image else None for picture, has_image in zip(pictures, have_image, strict=True)]
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
-    keypoints, cameras = _keypoints(session, index, have_image), cameras_at(session, index)
-    candidates, bystanders = _candidates(session, index, have_image), _bystanders(session, index, have_image)
-    covered = _covered(session, index, have_image)
+    series = _series(session, index, have_image)
+    keypoints, cameras = _keypoints(series), cameras_at(session, index)
+    candidates, covered = _candidates(series), _covered(session, series)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
+        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
     if covered is not None or session.segmentation.figures == "largest":
         covered = _OnDemand([_whole_region(session, covered, masks, camera) for camera in range(len(masks))])
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, bystanders, covered)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered)
 
 
 def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
@@ -139,21 +137,23 @@ def cameras_with_picture(session: Session, index: int) -> tuple[bool, ...]:
     return tuple(has_picture(session, index, view) for view in session.views)
 
 
-def _keypoints(session: Session, index: int, have_image: Sequence[bool]) -> tuple[Keypoints | None, ...] | None:
-    if not any(view.keypoints for view in session.views):
+# The file of each camera's keypoints, and the frame's number in it; None for a camera that did not see the frame.
+type Series = Sequence[tuple[KeypointSeries | None, int | None]]
+
+
+def _keypoints(series: Series) -> tuple[Keypoints | None, ...] | None:
+    if all(file is None for file, _ in series):
         return None
-    return tuple(None if file is None or number is None else file.frame(number) for file, number in _series(session, index, have_image))
+    return tuple(None if file is None or number is None else file.frame(number) for file, number in series)
 
 
-def _series(session: Session, index: int, have_image: Sequence[bool]) -> list[tuple[KeypointSeries | None, int | None]]:
-    """The file of each camera's keypoints, and the frame's number in it; None for a camera that did not see the frame."""
+def _series(session: Session, index: int, have_image: Sequence[bool]) -> Series:
     paths = [session.keypoints_path(view) for view in session.views]
     numbers = [session.number(view, index) if has_image else None for view, has_image in zip(session.views, have_image, strict=True)]
     return [(None if path is None else read_series(path), number) for path, number in zip(paths, numbers, strict=True)]
 
 
-def _candidates(session: Session, index: int, have_image: Sequence[bool]) -> tuple[tuple[tuple[Keypoints, float], ...], ...] | None:
-    series = _series(session, index, have_image)
+def _candidates(series: Series) -> tuple[tuple[tuple[Keypoints, float], ...], ...] | None:
     most = max((file.candidates.shares.shape[1] for file, _ in series if file is not None and file.candidates is not None), default=0)
     if not most:
         return None
@@ -169,13 +169,6 @@ def _of_camera(file: KeypointSeries, number: int) -> list[tuple[Keypoints, float
     return file.candidates_in(number)
 
 
-def _bystanders(session: Session, index: int, have_image: Sequence[bool]) -> tuple[NDArray[np.floating], ...] | None:
-    series = _series(session, index, have_image)
-    if all(file is None or file.bystanders is None for file, _ in series):
-        return None
-    return tuple(np.zeros((0, 0, 3)) if file is None or number is None else file.bystanders_in(number) for file, number in series)
-
-
 def bystanders_at(session: Session, index: int) -> tuple[list[Keypoints], ...]:
     """The keypoints of other people in each camera in frame `index`, counted from 0.
 
@@ -186,8 +179,7 @@ def bystanders_at(session: Session, index: int) -> tuple[list[Keypoints], ...]:
     return tuple([] if file is None or number is None else file.named_bystanders_in(number) for file, number in series)
 
 
-def _covered(session: Session, index: int, have_image: Sequence[bool]) -> "_OnDemand[NDArray[np.bool_] | None] | None":
-    series = _series(session, index, have_image)
+def _covered(session: Session, series: Series) -> "_OnDemand[NDArray[np.bool_] | None] | None":
     if all(file is None or file.bystanders is None for file, _ in series):
         return None
     rows = zip(session.views, series, strict=True)
