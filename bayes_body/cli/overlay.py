@@ -34,4 +34,7 @@ def overlay(
         check_free(out, overwrite)
     with own_terms(plugin), open_people(runs) as people:
         path, *stills = draw_people(people, out or people.folder / OVERLAY_FILE, watched("overlay"))
+        missing = people.missing
+    if missing:
+        say(f"note: {missing}")
     say(f"{path}: {path.stat().st_size / 1e6:.1f} MB; {len(stills)} stills in {path.with_suffix('')}.")

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.session.people_folders import people_numbers, recording_folder
 from bayes_body.recording.session.session import CameraSpec, Session
 from bayes_body.results.posterior import CentralPose, central_pose
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
@@ -125,6 +126,24 @@ class People:
     def fps(self) -> float:
         """Frames a second."""
         return self.session.fps
+
+    @property
+    def name(self) -> str:
+        """The name of the recording's folder, if the sessions are those of its people; else that of the folder that holds the runs."""
+        return self.folder.name if self._recording is None else self._recording.name
+
+    @cached_property
+    def _recording(self) -> Path | None:
+        """The recording's folder; None if a session is not that of a person of it, or if it is gone."""
+        recordings = {recording_folder(person.run.session.folder.resolve()) for person in self.persons}
+        return recordings.pop() if len(recordings) == 1 else None
+
+    @property
+    def missing(self) -> str:
+        """A sentence on people of the recording of whom no run is among these; empty if there are none, or if the recording is not there."""
+        shown = {person.number for person in self.persons}
+        numbers = [] if self._recording is None else [number for number in people_numbers(self._recording) if number not in shown]
+        return f"Not shown, for want of a finished run: {' and '.join(f'person {number}' for number in numbers)}." if numbers else ""
 
     @property
     def folder(self) -> Path:

@@ -13,7 +13,7 @@ from browser import tab  # noqa: F401
 
 from bayes_body.view.colours import person_ink
 from bayes_body.view.study.page import page, write_index
-from bayes_body.view.study.rows import Link, StudyRow, links_of, read_summary, row_of, write_csv
+from bayes_body.view.study.rows import Link, StudyRow, links_of, people_links_of, read_summary, row_of, write_csv
 
 SUMMARY = {
     "frames": 300,
@@ -96,6 +96,13 @@ def test_people_of_one_recording_have_their_colours_and_pages_together(tmp_path)
     styles = [attributes["style"] for tag, attributes in elements.elements if tag == "span" and "style" in attributes]
     assert styles == [f"color: {person_ink(number)}" for number in (1, 2)] and "person" in elements.words
     assert [attributes["href"] for tag, attributes in elements.elements if tag == "a"] == ["./people.html"]
+    # Of several recordings there is a list, with who is missing; one without pages and without a remark is left out.
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / "people_3d.html").write_text("")
+    recordings = [people_links_of(name, tmp_path / name, tmp_path, remark) for name, remark in (("walk", "without <2>"), ("run", "none"), ("hop", ""))]
+    several = Elements(page(rows, [], "study", people=recordings))
+    assert [attributes["href"] for tag, attributes in several.elements if tag == "a"] == ["./walk/people_3d.html"]
+    assert {"All people of 2 recordings", ", without <2>", "run", ": none"} <= set(several.words) and "hop" not in several.words
     # Without people: nothing about them.
     alone = Elements(page(rows[2:], [], "study"))
     assert "person" not in alone.words and not [tag for tag, _ in alone.elements if tag == "a"]

@@ -89,7 +89,10 @@ class Driver:
         return self._done
 
     def run(self) -> None:
-        """Compute all units that are not done. At Ctrl-C, those that run are stopped in order, and their frames are kept."""
+        """Compute all units that are not done. At Ctrl-C, those that run are stopped in order, and their frames are kept.
+
+        Afterwards the places may be used again.
+        """
         try:
             while self._queue or self._running or self._later:
                 self._begin_units()
@@ -99,12 +102,13 @@ class Driver:
                     self._take(outcome)
                 if not outcomes:
                     self._report(None)
-        finally:
+        except BaseException:
             self._places.stop()
+            raise
 
     def _is_done(self, unit: Unit) -> bool:
         record = UnitFiles(self._out, unit.session, unit.name).read()
-        return record is not None and record.state == DONE and record.work == unit.work and is_finished(unit.folder)
+        return record is not None and record.state == DONE and record.work == unit.work and is_finished(unit)
 
     def _begin_units(self) -> None:
         self._places.expect(len(self._units) - len(self._done) - len(self.failures))
@@ -132,6 +136,7 @@ class Driver:
             folder=str(unit.folder),
             digest=unit.digest,
             work=unit.work,
+            results=unit.results,
             cpus=share.cpus,
             gpus=share.gpus,
             wide=is_first,

@@ -1,19 +1,20 @@
 """The pages about a study: `index.html` and `study.csv`, with a row for each session and variant. They are written again while the study runs."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from bayes_body.base.errors import InputError
 from bayes_body.results.storage.names import SUMMARY_FILE
 from bayes_body.runs.study.driver import Event
+from bayes_body.runs.study.people_pages import people_groups
 from bayes_body.runs.study.records import UnitFiles
-from bayes_body.runs.study.status import WAITING, UnitState, blocked, counts_of, state_of
+from bayes_body.runs.study.status import WAITING, UnitState, blocked, counts_of, keys_of, state_of
 from bayes_body.runs.study.study_file import StudyFile
 from bayes_body.runs.study.units import Unit
 from bayes_body.view.study.page import write_index
-from bayes_body.view.study.rows import DONE, FAILED, RUNNING, StudyRow, read_summary, row_of, write_csv
+from bayes_body.view.study.rows import DONE, FAILED, RUNNING, StudyRow, people_links_of, read_summary, row_of, write_csv
 
 CSV_FILE = "study.csv"
 # The pages are written at most so often, and take at most this share of the driver's time.
@@ -39,9 +40,14 @@ class Overview:
         self._groups: dict[tuple[str, str], list[str]] = {}
         for unit in units:
             self._groups.setdefault((unit.session, unit.variant), []).append(unit.key)
+        self._people = people_groups(study, units, out)
         # The rows of sessions in which nothing changes any more.
         self._rows: dict[tuple[str, str], StudyRow] = {}
         self._next = time.monotonic() + LEAST_S
+
+    def add(self, pages: Iterable[Unit]) -> None:
+        """Take the units of the pages of all people, which have no row."""
+        self._states |= {unit.key: state_of(unit, self._out) for unit in pages}
 
     def note(self, event: Event) -> None:
         """Take a change from the driver, and write the pages if it is time. A disk that is full is no reason to stop."""
@@ -64,12 +70,14 @@ class Overview:
             # A unit that runs now was waiting when it was looked at last.
             if state.state in (RUNNING, WAITING):
                 self._states[key] = state_of(state.unit, self._out)
-        failed = {key for key, state in self._states.items() if state.state == FAILED}
+        failed = keys_of(self._states.values(), FAILED)
         self._states = {key: blocked(state, failed) for key, state in self._states.items()}
         rows = [self._row(session, variant, keys) for (session, variant), keys in self._groups.items()]
         failures = [(key, state.sentence) for key, state in self._states.items() if state.state == FAILED]
         write_csv(rows, self._out / CSV_FILE)
-        write_index(rows, failures, self._out, self._title, counts_of(self._states.values()))
+        done = keys_of(self._states.values(), DONE)
+        people = [people_links_of(group.title, group.folder, self._out, group.remark(done, failed)) for group in self._people]
+        write_index(rows, failures, self._out, self._title, counts_of(self._states.values()), people)
 
     def remarks(self) -> list[str]:
         """Return sentences about the study as a whole: whether compiled programs were used again."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from bayes_body.base.errors import input_error
 from bayes_body.base.toml.read import read_toml, validate
+from bayes_body.runs.study.people_pages import pages_units
 from bayes_body.runs.study.records import UnitFiles
 from bayes_body.runs.study.study_file import NAME, StudyFile
 from bayes_body.runs.study.units import Unit, is_finished, stored_frames, units_of
@@ -54,8 +55,13 @@ def read_study(out: Path) -> StudyFile:
 def states_of(units: Iterable[Unit], out: Path) -> list[UnitState]:
     """Return the state of each unit, in their order."""
     states = [state_of(unit, out) for unit in units]
-    failed = {state.unit.key for state in states if state.state == FAILED}
+    failed = keys_of(states, FAILED)
     return [blocked(state, failed) for state in states]
+
+
+def keys_of(states: Iterable[UnitState], name: str) -> set[str]:
+    """Return the keys of the units in a state."""
+    return {state.unit.key for state in states if state.state == name}
 
 
 def state_of(unit: Unit, out: Path) -> UnitState:
@@ -67,10 +73,10 @@ def state_of(unit: Unit, out: Path) -> UnitState:
         return UnitState(unit, WAITING)
     base = UnitState(unit, record.state, "", None, record.seconds, (record.cache_hits, record.cache_misses))
     if record.state == DONE:
-        return base if is_finished(unit.folder) else base._replace(state=WAITING, sentence="its results were removed; it is computed again")
+        return base if is_finished(unit) else base._replace(state=WAITING, sentence="its results were removed; it is computed again")
     if record.state == FAILED:
         return base._replace(sentence=record.sentence)
-    frames = None if unit.is_closing else stored_frames(unit.folder)
+    frames = stored_frames(unit.folder) if unit.digest else None
     if record.state == RUNNING and files.is_locked():
         return base._replace(sentence=f"on {record.host}", frames=frames, seconds=record.seconds + time.time() - record.begun)
     return base._replace(state=WAITING, sentence="stopped", frames=frames)
@@ -96,4 +102,7 @@ def status(out: Path) -> tuple[StudyFile, list[UnitState]]:
     """
     out = out.resolve()
     study = read_study(out)
-    return study, states_of(units_of(study, out), out)
+    units = units_of(study, out)
+    states = states_of(units, out)
+    pages = pages_units(study, units, out, *(keys_of(states, name) for name in (DONE, FAILED)))
+    return study, [*states, *states_of(pages, out)]

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.progress import units_bar
@@ -11,6 +12,7 @@ from bayes_body.runs.people import Person, people_sessions
 from bayes_body.runs.study.driver import Driver, Event, Share, Show, check_digests
 from bayes_body.runs.study.host import cores, gpus
 from bayes_body.runs.study.overview import Overview
+from bayes_body.runs.study.people_pages import pages_units, people_groups
 from bayes_body.runs.study.places import LocalPlaces, Places
 from bayes_body.runs.study.status import read_study
 from bayes_body.runs.study.study_file import StudyFile, write_study_file
@@ -40,27 +42,65 @@ def run_study(study: StudyFile, out: Path, show: Show, bar: bool) -> bool:
     _remark_on_earlier(study, out, show)
     write_study_file(study, out)
     overview = Overview(study, units, out)
-    with places_of(study, units, out, show) as (places, share), _progress(bar, len(units)) as progress:
-
-        def on_event(event: Event) -> None:
-            progress(event)
-            overview.note(event)
-
-        driver = Driver(units, out, places, share, show, on_event)
-        show(f"study      {_counted(study, units)}, {len(driver.done)} of {len(units)} units are done")
-        try:
-            driver.run()
-        except (KeyboardInterrupt, SystemExit):
-            show(f"{out}: stopped; {len(driver.done)} of {len(units)} units are done, and the same command again goes on.")
-            raise
-        finally:
-            overview.write()
-    for key, sentence in driver.failures.items():
+    with places_of(study, units, out, show) as (places, share):
+        stage = _Stage(out, places, share, overview, show, bar)
+        driver = _drive(units, f"study      {_counted(study)}", stage)
+        pages, failures = _people_pages(study, units, driver, stage)
+    for key, sentence in (driver.failures | failures).items():
         show(f"failed     {key}: {sentence}")
     for sentence in overview.remarks():
         show(f"note: {sentence}")
-    show(f"{out}: {len(driver.done)} of {len(units)} units are done; index.html, study.csv, study.toml")
-    return len(driver.done) == len(units)
+    total = len(units) + len(pages)
+    count = len(driver.done) + len(pages) - len(failures)
+    show(f"{out}: {count} of {total} units are done; index.html, study.csv, study.toml")
+    return count == total
+
+
+class _Stage(NamedTuple):
+    """Where units are computed, and who is told."""
+
+    out: Path
+    places: Places
+    share: Share
+    overview: Overview
+    show: Show
+    bar: bool
+
+
+def _drive(units: list[Unit], title: str, stage: _Stage) -> Driver:
+    """Compute units and write the pages about the study. Return the driver."""
+    with _progress(stage.bar, len(units)) as progress:
+
+        def on_event(event: Event) -> None:
+            progress(event)
+            stage.overview.note(event)
+
+        driver = Driver(units, stage.out, stage.places, stage.share, stage.show, on_event)
+        stage.show(f"{title}, {len(driver.done)} of {len(units)} units are done")
+        try:
+            driver.run()
+        except (KeyboardInterrupt, SystemExit):
+            stage.show(f"{stage.out}: stopped; {len(driver.done)} of {len(units)} units are done, and the same command again goes on.")
+            raise
+        finally:
+            stage.overview.write()
+    return driver
+
+
+def _people_pages(study: StudyFile, units: list[Unit], tracking: Driver, stage: _Stage) -> tuple[list[Unit], dict[str, str]]:
+    """Compute the pages of all people of the recordings. Return their units, and why some have failed."""
+    done, failed = tracking.done, tracking.failures
+    for group in people_groups(study, units, stage.out):
+        if remark := group.remark(done, failed):
+            stage.show(f"note: pages of all people of {group.title}: {remark}.")
+    pages = pages_units(study, units, stage.out, done, failed)
+    if not pages:
+        return [], {}
+    stage.overview.add(pages)
+    driver = _drive(pages, f"people     {_plural(len(pages), 'set')} of pages of all people", stage)
+    # What another process has not ended is missing too.
+    missing = {unit.key: driver.failures.get(unit.key, "it was stopped.") for unit in pages if unit.key not in driver.done}
+    return pages, missing
 
 
 def plan(study: StudyFile, out: Path, show: Show) -> tuple[StudyFile, list[Unit]]:
@@ -104,12 +144,14 @@ def preview(study: StudyFile, out: Path, show: Show) -> None:
     out = out.resolve()
     study, units = plan(study, out, show)
     check_digests(units, out)
-    show(f"study      {_counted(study, units)}: {len(units)} units in {out}")
+    show(f"study      {_counted(study)}: {len(units)} units in {out}")
     for unit in units[:PREVIEWED]:
         for command in unit.commands:
             show(f"{unit.key}: bayes-body {shlex.join(command)}")
     if len(units) > PREVIEWED:
         show(f"... and {len(units) - PREVIEWED} more units")
+    for group in people_groups(study, units, out):
+        show(f"then pages of all people of {group.title} in {group.folder}")
     if study.cluster is not None:
         from bayes_body.runs.study.cluster import job_script
 
@@ -153,14 +195,15 @@ def _remark_on_earlier(study: StudyFile, out: Path, show: Show) -> None:
         show(f"note: {names}: in the earlier study of {out}, and not in this one; their runs stay, without a row in index.html.")
 
 
-def _counted(study: StudyFile, units: list[Unit]) -> str:
-    def plural(count: int, noun: str) -> str:
-        return f"{count} {noun}{'s' if count != 1 else ''}"
-
-    parts = [plural(len(study.sessions), "session")]
+def _counted(study: StudyFile) -> str:
+    parts = [_plural(len(study.sessions), "session")]
     if study.variant:
-        parts.append(plural(len(study.variant), "variant"))
-    return " × ".join([*parts, plural(study.runs, "run")])
+        parts.append(_plural(len(study.variant), "variant"))
+    return " × ".join([*parts, _plural(study.runs, "run")])
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from bayes_body.base import program_cache
 from bayes_body.base.errors import InputError
 from bayes_body.runs.study.host import HostShare, cores, gpu_identities, gpus, peak_bytes
 from bayes_body.runs.study.records import STOPPED, Record, UnitFiles, last_complaint
-from bayes_body.runs.study.units import stored_frames
+from bayes_body.runs.study.units import is_finished, stored_frames
 from bayes_body.view.study.rows import DONE, FAILED, RUNNING
 from bayes_body.view.study.thumbnail import write_thumbnail
 
@@ -45,6 +45,7 @@ class Job:
         folder: the run whose frames tell the progress.
         digest: `Unit.digest`.
         work: `Unit.work`.
+        results: `Unit.results`.
         cpus: number of cores.
         gpus: number of GPUs, 0 or 1.
         wide: whether it may use further cores while they are idle, to compile.
@@ -59,6 +60,7 @@ class Job:
     folder: str
     digest: str
     work: str
+    results: tuple[str, ...]
     cpus: int = 1
     gpus: int = 0
     wide: bool = False
@@ -84,6 +86,7 @@ class Job:
         """Return the job of a line that `to_text` wrote."""
         table = json.loads(text)
         table["commands"] = tuple(tuple(command) for command in table["commands"])
+        table["results"] = tuple(table["results"])
         return cls(**{field.name: table[field.name] for field in fields(cls)})
 
 
@@ -163,7 +166,7 @@ def _next_record(job: Job) -> Record:
     previous, frames = job.files.read(), stored_frames(Path(job.folder))
     if previous is not None and previous.work != job.work:
         previous = None
-    if previous is not None and previous.state == DONE:
+    if previous is not None and previous.state == DONE and is_finished(job):
         return previous
     deaths = previous.deaths + 1 if previous is not None and previous.state == RUNNING and frames <= previous.frames else 0
     seconds = 0.0 if previous is None else previous.seconds

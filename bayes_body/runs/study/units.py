@@ -7,15 +7,16 @@ from collections import Counter
 from collections.abc import Iterator
 from glob import glob, has_magic
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.session.people_folders import SESSION_FILE, recording_folder
 from bayes_body.results.storage.names import SUMMARY_FILE
 from bayes_body.runs.study.study_file import StudyFile, TrackTable
 
-SESSION_FILE = "session.toml"
-# The folder of a session in which the sessions of its people are.
-PEOPLE = "people"
+if TYPE_CHECKING:
+    from bayes_body.runs.study.unit_process import Job
+
 # The unit of a session that follows its runs, and the folder of all runs together.
 CLOSING, ALL_RUNS, SMOOTHED = "closing", "all_runs", "_smoothed"
 # Options of `track` that take a value, by their names in a study's file.
@@ -32,10 +33,11 @@ class Unit(NamedTuple):
         commands: command lines of bayes-body, one after the other.
         folder: the run that it tracks, or that it writes at the end.
         shape: equal for units that use the same compiled programs.
-        digest: of the options of `track` and the session's file: a run with another digest has other draws. Empty for a closing unit.
+        digest: of the options of `track` and the session's file: a run with another digest has other draws. Empty for a unit that does not track.
         work: digest of all commands: a unit with another one is not done.
         frames: number of frames to track; None if it is not known.
         needs: keys of the units that must be done before.
+        results: names of the files in its folder that exist once it is done.
     """
 
     session: str
@@ -48,6 +50,7 @@ class Unit(NamedTuple):
     work: str
     frames: int | None = None
     needs: tuple[str, ...] = ()
+    results: tuple[str, ...] = (SUMMARY_FILE,)
 
     @property
     def key(self) -> str:
@@ -126,8 +129,8 @@ def check_names(folders: list[Path]) -> None:
 
 def session_name(folder: Path) -> str:
     """Return the name of a session in a study: that of its folder; of a person of a recording, `RECORDING_person_2`."""
-    recording = folder.parent.parent
-    return f"{recording.name}_{folder.name}" if folder.parent.name == PEOPLE and (recording / SESSION_FILE).is_file() else folder.name
+    recording = recording_folder(folder)
+    return folder.name if recording is None else f"{recording.name}_{folder.name}"
 
 
 def recording_of(folder: Path) -> Recording:
@@ -157,9 +160,8 @@ def units_of(study: StudyFile, out: Path) -> list[Unit]:
 
 def _units_of_variant(study: StudyFile, out: Path, recording: Recording, variant: str, table: TrackTable) -> Iterator[Unit]:
     prefix = f"{variant}_" if variant else ""
-    options, plugins = _options(study, table), _plugins(study, table)
-    pictures = table.pictures if table.pictures is not None else study.pictures is not False
-    no_pictures = () if pictures else ("--no-pictures",)
+    options, plugins = _options(study, table), plugins_of(study, table)
+    no_pictures = () if draws_pictures(study, table) else ("--no-pictures",)
     # The pictures of several runs are those of all runs together.
     of_a_run = ("--no-pictures",) if study.runs > 1 else no_pictures
     frames, shape = table.frames or study.frames or recording.frames, f"{variant} {recording.shape}"
@@ -170,10 +172,9 @@ def _units_of_variant(study: StudyFile, out: Path, recording: Recording, variant
         commands: list[tuple[str, ...]] = [(*track, *of_a_run)]
         if "smooth" in study.steps:
             commands.append(("smooth", str(folder), "--out", f"{folder}{SMOOTHED}", "--seed", seed, *of_a_run, *plugins))
-        digest = _digest(out, recording.digest, [track])
-        runs.append(
-            Unit(recording.name, variant, folder.name, tuple(commands), folder, _digest(out, shape), digest, _digest(out, digest, commands), frames)
-        )
+        digest = digest_of(out, recording.digest, [track])
+        work = digest_of(out, digest, commands)
+        runs.append(Unit(recording.name, variant, folder.name, tuple(commands), folder, digest_of(out, shape), digest, work, frames))
     yield from runs
     combined, smoothed = out / recording.name / f"{prefix}{ALL_RUNS}", "smooth" in study.steps
     commands = list(_closing_commands(study, [run.folder for run in runs], combined, no_pictures, plugins))
@@ -185,14 +186,14 @@ def _units_of_variant(study: StudyFile, out: Path, recording: Recording, variant
         name=f"{prefix}{CLOSING}",
         commands=tuple(commands),
         folder=final_folder([run.folder for run in runs], combined, smoothed),
-        shape=_digest(out, f"{CLOSING} {shape}"),
+        shape=digest_of(out, f"{CLOSING} {shape}"),
         digest="",
-        work=_digest(out, *(run.work for run in runs), commands),
+        work=digest_of(out, *(run.work for run in runs), commands),
         needs=tuple(run.key for run in runs),
     )
 
 
-def _digest(out: Path, *parts: object) -> str:
+def digest_of(out: Path, *parts: object) -> str:
     """Return a digest that stays when the folder of the study is moved."""
     return hashlib.sha256(repr(parts).replace(str(out), "").encode()).hexdigest()[:20]
 
@@ -238,7 +239,13 @@ def _options(study: StudyFile, table: TrackTable) -> tuple[str, ...]:
     return (*options, *(("--keep", f"draws={draws}") if draws else ()))
 
 
-def _plugins(study: StudyFile, table: TrackTable) -> tuple[str, ...]:
+def draws_pictures(study: StudyFile, table: TrackTable) -> bool:
+    """Return whether videos and stills are drawn."""
+    return table.pictures if table.pictures is not None else study.pictures is not False
+
+
+def plugins_of(study: StudyFile, table: TrackTable) -> tuple[str, ...]:
+    """Return the options of a command that name the plugins of the study and of a variant."""
     return tuple(text for plugin in dict.fromkeys([*study.plugins, *table.plugins]) for text in ("--plugin", plugin))
 
 
@@ -251,6 +258,6 @@ def stored_frames(folder: Path) -> int:
     return max((int(name) + 1 for name in names if name.isdecimal()), default=0)
 
 
-def is_finished(folder: Path) -> bool:
-    """Whether a run has its summary."""
-    return (folder / SUMMARY_FILE).is_file()
+def is_finished(work: "Unit | Job") -> bool:
+    """Whether the results of a unit are on the disk."""
+    return all((Path(work.folder) / name).is_file() for name in work.results)

@@ -156,7 +156,9 @@ def _distances(people: People, first: tuple[Person, Moments], second: tuple[Pers
 
 
 def _sections(people: People, tracks: Sequence[Moments], folder: Path) -> list[Markup]:
-    stills = read_stills(people.folder / Path(OVERLAY_FILE).stem, QUALITIES[1])
+    # In the folder of the runs of several recordings, the pictures of each are beside its report.
+    pictured = folder if folder.resolve().is_relative_to(people.folder) else people.folder
+    stills = read_stills(pictured / Path(OVERLAY_FILE).stem, QUALITIES[1])
     command = tag("code", "bayes-body overlay")
     no_stills = tag("p", command, " with the same runs makes pictures of all people, which the next report then shows.")
     # In the middle of the recording more people are there than at its ends.
@@ -252,9 +254,9 @@ def _page(people: People, tracks: Sequence[Moments], sections: Sequence[Markup])
     first, last = people.frames.start, people.frames[-1]
     titles = (("people", "People"), ("paths", "Paths on the floor"), ("distances", "Distances"), ("pictures", "Pictures"))
     values = {
-        "title": f"People of {people.folder.name}",
+        "title": f"People of {people.name}",
         "subtitle": f"{people.session.title}: {len(people.persons)} people in the frames {first} to {last}, {people.fps:g} a second",
-        "verdict": " ".join(doubts) if doubts else NO_DOUBT,
+        "verdict": " ".join([*(doubts or [NO_DOUBT]), people.missing]).rstrip(),
         "scales": "Colours are those of the people on all pages and pictures of several people.",
         "contents": joined(tag("li", tag("a", title, href=f"#{name}")) for name, title in titles),
         "figures": "",

@@ -18,15 +18,13 @@ from urllib.parse import quote
 
 from bayes_body.base.errors import printable
 from bayes_body.base.files.atomic import write_text
-from bayes_body.results.storage.names import OVERLAY_FILE, PEOPLE_REPORT_FILE, PEOPLE_VIEW_FILE, person_number
+from bayes_body.results.storage.names import person_number
 from bayes_body.view.colours import person_ink
-from bayes_body.view.study.rows import FAILED, STATES, Link, StudyRow
+from bayes_body.view.study.rows import FAILED, STATES, PeopleLinks, StudyRow, people_links_of
 
 FILE_NAME = "index.html"
 # Between columns, `rem`.
 GAP = 0.7
-# Files of several people together beside the page, and the words that lead to them.
-JOINT = ((PEOPLE_REPORT_FILE, "report"), (PEOPLE_VIEW_FILE, "3D"), (OVERLAY_FILE, "video"))
 OPTION = re.compile(r"(--[a-z][a-z-]*)")
 
 
@@ -126,7 +124,12 @@ COLUMNS = (
 
 
 def write_index(
-    rows: Sequence[StudyRow], failures: Sequence[tuple[str, str]], folder: Path, title: str, counts: Mapping[str, int] | None = None
+    rows: Sequence[StudyRow],
+    failures: Sequence[tuple[str, str]],
+    folder: Path,
+    title: str,
+    counts: Mapping[str, int] | None = None,
+    people: Sequence[PeopleLinks] = (),
 ) -> Path:
     """Write the page of a study, either completely or not at all. Return its path.
 
@@ -136,13 +139,13 @@ def write_index(
         folder: the folder of the study, from which the paths in the rows lead.
         title: the heading.
         counts: how many units are in each state; left out by default.
+        people: the pages of all people of each recording; by default those that are beside the page.
 
     Raises:
         InputError: the file cannot be written.
     """
     path = folder / FILE_NAME
-    links = [Link(words, name) for name, words in JOINT if (folder / name).is_file()]
-    write_text(path, page(rows, failures, title, counts, links))
+    write_text(path, page(rows, failures, title, counts, people or [people_links_of("", folder, folder)]))
     return path
 
 
@@ -151,12 +154,9 @@ def page(
     failures: Sequence[tuple[str, str]],
     title: str,
     counts: Mapping[str, int] | None = None,
-    links: Sequence[Link] = (),
+    people: Sequence[PeopleLinks] = (),
 ) -> str:
-    """Return the page's HTML. Columns in which no row has anything are left out; the first arguments are those of `write_index`.
-
-    The links are those to pages of several people together.
-    """
+    """Return the page's HTML. Columns in which no row has anything are left out; the arguments are those of `write_index`."""
     package = files(__package__)
     script = package.joinpath("page.js").read_text(encoding="utf-8")
     markup = {column: [column.inside(row) for row in rows] for column in COLUMNS}
@@ -167,7 +167,8 @@ def page(
         "columns": " ".join(f"minmax({column.width:g}rem, {column.share}fr)" if column.share else f"{column.width:g}rem" for column in columns),
         "least_width": f"{sum(column.width + GAP for column in columns):g}rem",
         "gap": f"{GAP}rem",
-        "counted": _counted(rows, counts) + _joint(links),
+        "counted": _counted(rows, counts),
+        "people": _people(people),
         "failures": _failures(failures),
         "states": _state_buttons(rows),
         "head": "".join(map(_heading, columns)),
@@ -199,10 +200,20 @@ def _counted(rows: Sequence[StudyRow], counts: Mapping[str, int] | None) -> str:
     return "; ".join(parts) + "."
 
 
-def _joint(links: Sequence[Link]) -> str:
-    if not links:
+def _people(recordings: Sequence[PeopleLinks]) -> str:
+    """Return what leads to the pages of all people: a line for one recording, a list for several."""
+    shown = [recording for recording in recordings if recording.links or recording.remark]
+    if not shown:
         return ""
-    return " All people: " + ", ".join(f'<a href="{_address(link.path)}">{_escaped(link.words)}</a>' for link in links) + "."
+    if len(recordings) == 1:
+        return f"<p>All people: {_people_links(shown[0])}.</p>"
+    items = "\n".join(f"<li><b>{_escaped(recording.title)}</b>: {_people_links(recording)}</li>" for recording in shown)
+    return f"<details open><summary>All people of {len(shown):,} recording{'s' * (len(shown) != 1)}</summary><ul>\n{items}\n</ul></details>"
+
+
+def _people_links(recording: PeopleLinks) -> str:
+    links = [f'<a href="{_address(link.path)}">{_escaped(link.words)}</a>' for link in recording.links]
+    return ", ".join([*links, *([_escaped(recording.remark)] if recording.remark else [])])
 
 
 def _state_buttons(rows: Sequence[StudyRow]) -> str:

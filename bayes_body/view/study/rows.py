@@ -11,13 +11,15 @@ from typing import Any, NamedTuple
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.atomic import write_text
 from bayes_body.base.files.read import read_text
-from bayes_body.results.storage.names import OVERLAY_FILE, SUMMARY_FILE
+from bayes_body.results.storage.names import OVERLAY_FILE, PEOPLE_REPORT_FILE, PEOPLE_VIEW_FILE, SUMMARY_FILE
 
 # In the order in which somebody who watches a study looks for them.
 FAILED, RUNNING, WAITING, DONE = STATES = ("failed", "running", "waiting", "done")
 REPORT, VIEWER = "report.html", "view.html"
 # The files of a run to which a row leads, and the words that do.
 LINKED = ((REPORT, "report"), (VIEWER, "3D"), (OVERLAY_FILE, "video"))
+# The files of all people of a recording together.
+LINKED_PEOPLE = ((PEOPLE_REPORT_FILE, "report"), (PEOPLE_VIEW_FILE, "3D"), (OVERLAY_FILE, "video"))
 LARGEST_SUMMARY_BYTES = 200_000_000
 
 
@@ -26,6 +28,20 @@ class Link(NamedTuple):
 
     words: str
     path: str
+
+
+class PeopleLinks(NamedTuple):
+    """Where the pages of all people of a recording are.
+
+    Attributes:
+        title: the recording, and the way to track it.
+        links: the pages that exist.
+        remark: who is not shown; may be empty.
+    """
+
+    title: str
+    links: tuple[Link, ...]
+    remark: str = ""
 
 
 class StudyRow(NamedTuple):
@@ -122,6 +138,18 @@ def links_of(run_folder: Path, runs: Sequence[Path], out: Path) -> tuple[Link, .
             pages = ((REPORT, f"run {number}"), (VIEWER, f"run {number} in 3D"))
             links += [Link(words, _path(folder / name, out)) for name, words in pages if (folder / name).is_file()]
     return tuple(links)
+
+
+def people_links_of(title: str, folder: Path, out: Path, remark: str = "") -> PeopleLinks:
+    """Return links to the pages of all people that exist.
+
+    Args:
+        title: the recording, and the way to track it.
+        folder: of the pages.
+        out: the folder of the study.
+        remark: who is not shown; may be empty.
+    """
+    return PeopleLinks(title, tuple(Link(words, _path(folder / name, out)) for name, words in LINKED_PEOPLE if (folder / name).is_file()), remark)
 
 
 def read_summary(run_folder: Path) -> dict[str, Any]:

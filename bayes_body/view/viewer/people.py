@@ -60,6 +60,8 @@ def write_people_view(
 
 
 def _remarks(people: People, recordings: Sequence[Recording], shown: range, frames: int, step: int) -> Iterator[str]:
+    if people.missing:
+        yield people.missing
     for person in people.persons:
         numbers = person.part_of(shown)
         indices = range(numbers.start - person.run.first_frame, numbers.stop - person.run.first_frame, numbers.step)
@@ -99,7 +101,7 @@ def _page(people: People, recordings: Sequence[Recording], shown: range, draws: 
         html = record.as_html()
     medoids = sum(not pose.is_mean for track in poses for pose in track.values())
     sentences = [MEDOID.format(count=medoids, frames=sum(map(len, poses)))] if medoids else []
-    return filled(html, f"{people.folder.name} in 3D", _text(people, draws, has_truth, has_keypoints, [*sentences, *remarks]))
+    return filled(html, f"{people.name} in 3D", _text(people, draws, has_truth, has_keypoints, [*sentences, *remarks]))
 
 
 def _evidence(people: People, recordings: Sequence[Recording], number: int, side: int) -> Seen:

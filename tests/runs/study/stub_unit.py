@@ -23,6 +23,8 @@ def command_line(arguments: list[str]) -> None:
         track(folder, out)
     elif verb == "combine":
         finish(Path(arguments[arguments.index("--out") + 1]))
+    elif verb in ("overlay", "report", "view") and "--out" in arguments:
+        show_people(verb, Path(arguments[arguments.index("--out") + 1]), arguments[1 : arguments.index("--out")])
     sys.exit(0)
 
 
@@ -50,6 +52,14 @@ def track(session: Path, out: Path) -> None:
         if (session / "dies").exists():
             os.kill(os.getpid(), signal.SIGKILL)
     finish(out)
+
+
+def show_people(verb: str, path: Path, runs: list[str]) -> None:
+    """Write whom a page of all people shows, and note that it was made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(runs))
+    with path.with_name("made").open("a") as noted:
+        noted.write(f"{verb}\n")
 
 
 def finish(out: Path) -> None:

@@ -311,5 +311,5 @@ def test_a_driver_that_has_stopped_begins_no_unit(tmp_path):
     stop_jobs("token")
     from bayes_body.runs.study.unit_process import Job
 
-    job = Job(str(tmp_path), "walk", "run_1", (), str(tmp_path / "walk/run_1"), "", "")
+    job = Job(str(tmp_path), "walk", "run_1", (), str(tmp_path / "walk/run_1"), "", "", ())
     assert run_job(job.to_text(), "token").state == STOPPED and not (tmp_path / ".study").exists()

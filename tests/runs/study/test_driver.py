@@ -9,12 +9,14 @@ from pathlib import Path
 import pytest
 
 from bayes_body.base.errors import InputError
+from bayes_body.runs.study import study as study_module
 from bayes_body.runs.study.attempt import Attempts
 from bayes_body.runs.study.driver import Driver, Share, check_digests
 from bayes_body.runs.study.overview import Overview
 from bayes_body.runs.study.places import LocalPlaces
 from bayes_body.runs.study.records import UnitFiles
-from bayes_body.runs.study.status import counts_of, states_of
+from bayes_body.runs.study.status import counts_of, states_of, status
+from bayes_body.runs.study.study import run_study
 from bayes_body.runs.study.study_file import StudyFile
 from bayes_body.runs.study.units import units_of
 from bayes_body.view.study.rows import FAILED
@@ -141,6 +143,52 @@ def test_a_unit_of_another_driver_is_left_alone(sessions, tmp_path):
         job = driver._job(unit, False)
         assert Attempts((str(STUB),)).run(job).state == "elsewhere"
     assert not computed(sessions[0])
+
+
+def people_of(recording, count):
+    """Sessions of the people of a recording."""
+    recording.mkdir(parents=True)
+    (recording / "session.toml").write_text(SESSION)
+    folders = [recording / "people" / f"person_{number}" for number in range(1, count + 1)]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        (folder / "session.toml").write_text(SESSION)
+    return folders
+
+
+def test_pages_of_all_people_follow_their_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(study_module, "LocalPlaces", lambda most, cpus: LocalPlaces(2, 1, Attempts((str(STUB),))))
+    out, people = tmp_path / "out", people_of(tmp_path / "hall", 3)
+
+    def computed_again(study):
+        lines = []
+        return run_study(study, out, lines.append, bar=False), "\n".join(lines)
+
+    def shown(page):
+        return [Path(line).parent.name for line in page.read_text().splitlines()]
+
+    # One whose run fails is left out.
+    (people[1] / "fails").touch()
+    study = study_of(people, runs=1)
+    is_done, text = computed_again(study)
+    assert not is_done and "note: pages of all people of hall: without person 2, whose tracking has failed." in text
+    for name in ("overlay.mp4", "people.html", "people_3d.html"):
+        assert shown(out / name) == ["hall_person_1", "hall_person_3"]
+    # The report shows the pictures, so these are made first.
+    assert (out / "made").read_text().split() == ["overlay", "report", "view"]
+    index = (out / "index.html").read_text()
+    assert 'All people: <a href="./people.html">report</a>' in index and "without person 2, whose tracking has failed." in index
+    assert counts_of(status(out)[1]) == {"done": 5, "running": 0, "failed": 1, "waiting": 1}
+    # The same command again fails again, and makes no page again.
+    assert not computed_again(study)[0] and (out / "made").read_text().split() == ["overlay", "report", "view"]
+    (people[1] / "fails").unlink()
+    is_done, text = computed_again(study)
+    assert is_done and "without" not in text and shown(out / "people.html") == ["hall_person_1", "hall_person_2", "hall_person_3"]
+    assert computed_again(study)[0] and len((out / "made").read_text().split()) == 6
+    assert "without" not in (out / "index.html").read_text()
+    # A page that was removed is made again.
+    (out / "people_3d.html").unlink()
+    assert computed_again(study)[0] and (out / "people_3d.html").exists()
 
 
 def test_other_options_than_those_of_the_folder_are_refused(sessions, tmp_path):

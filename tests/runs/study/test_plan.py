@@ -5,6 +5,7 @@ import pytest
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
+from bayes_body.runs.study.people_pages import pages_units, people_groups
 from bayes_body.runs.study.study import plan
 from bayes_body.runs.study.study_file import StudyFile, read_study_file, write_study_file
 from bayes_body.runs.study.unit_queue import UnitQueue
@@ -100,6 +101,42 @@ def test_two_sessions_of_one_name_are_refused(folder):
     study = StudyFile(sessions=[str(folder / "sessions" / "*"), str(other)])
     with pytest.raises(InputError, match=r"sessions/a and .*more/a have one name; expected one name for each session.*rename one of them"):
         plan(study, folder / "out", print)
+
+
+def test_pages_of_all_people_of_each_recording_and_variant(folder):
+    out, sessions = folder / "out", []
+    for recording, count in (("hall", 2), ("yard", 2), ("alone", 1)):
+        people = [folder / recording / "people" / f"person_{number}" for number in range(1, count + 1)]
+        for session in (folder / recording, *people):
+            session.mkdir(parents=True)
+            (session / "session.toml").write_text(SESSION)
+        sessions += map(str, people)
+    table = {"sessions": sessions, "pictures": False, "steps": ["smooth", "view"], "plugins": ["mine.py"]}
+    study = StudyFile.model_validate(table | {"variant": [{"name": "slow"}, {"name": "quick", "pictures": True}]})
+    units = units_of(study, out)
+    keys = {unit.key for unit in units}
+    assert [(group.title, group.folder.relative_to(out).as_posix()) for group in people_groups(study, units, out)] == [
+        (f"{recording}, {variant}", f"{recording}_people/{variant}") for recording in ("hall", "yard") for variant in ("slow", "quick")
+    ]
+    for unit in units:
+        unit.folder.mkdir(parents=True, exist_ok=True)
+        (unit.folder / "summary.json").touch()
+    # One fails in one way: then there is a single other person. A closing unit that fails takes no run away.
+    failed = {"yard_person_2/quick_run_1", "hall_person_1/slow_closing"}
+    over = keys - failed - {"yard_person_2/quick_closing"}
+    hall, hall_quick, yard = pages_units(study, units, out, over, failed)
+    assert (hall.key, hall_quick.key, yard.key) == ("hall_people/slow_pages", "hall_people/quick_pages", "yard_people/slow_pages")
+    # Without pictures there is no video of all people either.
+    runs = [str(out / f"hall_person_{number}" / "slow_run_1_smoothed") for number in (1, 2)]
+    assert hall.commands == (
+        ("report", *runs, "--out", str(hall.folder / "people.html"), "--plugin", "mine.py"),
+        ("view", *runs, "--out", str(hall.folder / "people_3d.html"), "--plugin", "mine.py"),
+    )
+    assert [command[0] for command in hall_quick.commands] == ["overlay", "report", "view"]
+    remarks = [group.remark(over, failed) for group in people_groups(study, units, out)]
+    assert remarks == ["", "", "", "none, because the tracking of person 2 has failed"]
+    # Of people who are still tracked there are no pages yet.
+    assert not pages_units(study, units, out, {"hall_person_1/slow_run_1"}, set())
 
 
 def test_several_sessions_in_one_track_are_a_study(folder, capsys, monkeypatch):

@@ -14,15 +14,16 @@ from bayes_body.recording.readers.keypoints.measured_lengths import with_measure
 from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.people.people import Person
+from bayes_body.recording.session.people_folders import FOLDER, PREFIX
 from bayes_body.recording.session.read import save_session
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, Subject, View
 
-FOLDER, KEYPOINTS = "people", "keypoints"
+KEYPOINTS = "keypoints"
 
 
 def person_folder(session: Session, number: int) -> Path:
     """The folder of a person's session."""
-    return session.folder / FOLDER / f"person_{number}"
+    return session.folder / FOLDER / f"{PREFIX}{number}"
 
 
 def series_of(person: Person, camera: CameraSpec, c: int, people: Sequence[Sequence[People]], names: tuple[str, ...], first: int) -> KeypointSeries:

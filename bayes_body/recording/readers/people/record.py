@@ -1,6 +1,5 @@
 """The people of a session: who they are, and a session for everyone."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,9 +7,10 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.progress import watched
 from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.readers.people.detections import has_detections, read_detections
-from bayes_body.recording.readers.people.files import FOLDER, person_folder, write_person
+from bayes_body.recording.readers.people.files import person_folder, write_person
 from bayes_body.recording.readers.people.people import Person, people_of
 from bayes_body.recording.readers.people.tracks import limited
+from bayes_body.recording.session.people_folders import FOLDER, people_numbers
 from bayes_body.recording.session.read import FILE_NAME
 from bayes_body.recording.session.session import Session, View
 
@@ -72,7 +72,7 @@ def write_people(session: Session, crowd: Crowd) -> tuple[list[Path], list[str]]
         folders.append(made.folder)
         remarks += [f"person {person.number}: {sentence}" for sentence in sentences]
     # Earlier detections may have shown more people.
-    for number in _numbers(session.folder):
+    for number in people_numbers(session.folder):
         if number > len(folders):
             (person_folder(session, number) / FILE_NAME).unlink(missing_ok=True)
     return folders, remarks
@@ -80,11 +80,6 @@ def write_people(session: Session, crowd: Crowd) -> tuple[list[Path], list[str]]
 
 def made_sessions(folder: Path) -> list[Path]:
     """Return the folders of the people's sessions that exist, by number; none if the recording was imported again since."""
-    made = [folder / FOLDER / f"person_{number}" for number in sorted(_numbers(folder))]
+    made = [folder / FOLDER / f"person_{number}" for number in people_numbers(folder)]
     imported_s = (folder / FILE_NAME).stat().st_mtime if (folder / FILE_NAME).exists() else 0.0
     return made if all((path / FILE_NAME).stat().st_mtime >= imported_s for path in made) else []
-
-
-def _numbers(folder: Path) -> Sequence[int]:
-    endings = (path.parent.name.removeprefix("person_") for path in (folder / FOLDER).glob(f"person_*/{FILE_NAME}"))
-    return [int(ending) for ending in endings if ending.isdecimal()]
