@@ -6,13 +6,18 @@ import json
 import cv2
 import numpy as np
 import pytest
+from keypoint_walks import Network, person_of, shipped_walk, walk_session
 
 from bayes_body.base.errors import InputError
 from bayes_body.model.build import build_model
+from bayes_body.recording.readers.keypoints.candidates import Bystanders
+from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
+from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.read import load_session, save_session
 from bayes_body.results.metrics.fit import projected_masks
 from bayes_body.results.metrics.plausibility import first_fit
 from bayes_body.results.metrics.plausibility_sentences import fit_sentences
+from bayes_body.results.posterior import markers
 from bayes_body.results.storage.saved_run import load_run
 from bayes_body.runs import run as module
 from bayes_body.runs.run import run
@@ -112,3 +117,30 @@ def test_of_a_real_recording(bodytrack, tmp_path, metres, warned):
     session = load_session(tmp_path)
     moved = dataclasses.replace(session, initial={**session.initial, "root_x": session.initial["root_x"] + metres})
     assert bool(fit_sentences(first_fit(moved, build_model("silhouettes", moved)))) == warned
+
+
+def test_a_first_pose_of_another_person_says_so(tmp_path):
+    walk, _ = walk_session(tmp_path, person_of(shipped_walk(2, 0), False), Network(), ["C1", "C2"])
+    session = dataclasses.replace(walk, initial={"root_z": 0.95}, initial_keypoints={}, fit_lengths=False)
+    model = build_model("deutscher_2005", session)
+    names = tuple(model.body.markers.names)
+    body_m = np.asarray(markers(model, np.asarray(model.initial["pose"])[None]))[0]
+    confidence = np.full((len(names), 1), 0.9)
+    said = {}
+    for subject_px, stranger_px in ((0.0, 120.0), (120.0, 0.0), (120.0, -120.0)):
+        for view in session.views:
+            points = np.hstack([project(view.camera, body_m), confidence])
+            subject, stranger = (np.add(points, (shift, 0.0, 0.0))[None] for shift in (subject_px, stranger_px))
+            series = KeypointSeries(subject, names, 0, bystanders=Bystanders(stranger, np.ones(1, int)))
+            write_series(session.keypoints_path(view), series)
+        figures = first_fit(session, model)
+        said[subject_px, stranger_px] = fit_sentences(figures | {"first_frame": 7}), figures.get("fit_bystander"), figures["fit_first"]
+    # On the subject there is nothing to say, whoever else is there.
+    nothing, distance, fit = said[0.0, 120.0]
+    assert nothing == [] and distance is None and fit < 0.01
+    (wrong,), distance, fit = said[120.0, 0.0]
+    assert wrong.startswith("frame 7: the first pose is that of another person: it is 0.00 of a person's size in the image away from that person's")
+    assert distance < 0.01 < 0.5 < fit and wrong.endswith("remove the first pose from the session, or track the other person with --person.")
+    # On nobody it is not said to be on somebody.
+    (nobody,), distance, _ = said[120.0, -120.0]
+    assert distance is None and "does not fit the image" in nobody
