@@ -9,6 +9,7 @@ import pytest
 from bayes_body.base.errors import InputError
 from bayes_body.base.files import arrays_file
 from bayes_body.recording.readers.keypoints import series as keypoint_series
+from bayes_body.recording.readers.keypoints.candidates import Bystanders, Candidates
 from bayes_body.recording.readers.keypoints.openpose import LAYOUTS
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, follow_person, read_series, write_series
 from bayes_body.recording.session.session import CameraSpec
@@ -39,6 +40,15 @@ def test_what_is_written_is_read(tmp_path):
 
 
 GOOD = {"keypoints": np.full((2, 2, 3), 0.5), "names": np.array(["nose", "l_knee"])}
+CROWD = GOOD | {
+    "candidates": np.full((2, 2, 2, 3), 0.5),
+    "shares": np.full((2, 2), 0.4),
+    "bystanders": np.full((3, 2, 3), 0.5),
+    "bystander_counts": np.array([1, 2]),
+}
+CROWD_OF_NINE = {key: np.repeat(CROWD[key][:1], 9, axis=0) for key in ("keypoints", "candidates", "shares")} | {
+    key: CROWD[key] for key in ("names", "bystanders")
+}
 FAULTS = {
     "no keypoints": ({"names": GOOD["names"]}, "no `keypoints`; expected an .npz with `keypoints`"),
     "no names": ({"keypoints": GOOD["keypoints"]}, "no `names`"),
@@ -49,6 +59,24 @@ FAULTS = {
     "percent": (GOOD | {"keypoints": np.full((2, 2, 3), 80.0)}, "a confidence of 80; expected 0 to 1"),
     "far away": (GOOD | {"keypoints": np.full((2, 2, 3), [1e7, 0, 0.5])}, "far outside any image"),
     "infinite": (GOOD | {"keypoints": np.full((2, 2, 3), [np.inf, 0, 0.5])}, "far outside any image"),
+    "candidates alone": (GOOD | {"candidates": np.zeros((2, 1, 2, 3))}, "no `shares`; expected `candidates` and `shares`, or neither"),
+    "candidates of three frames": (
+        CROWD | {"candidates": np.zeros((3, 2, 2, 3))},
+        r"candidates: float64 of shape \(3, 2, 2, 3\); expected numbers of",
+    ),
+    "candidates of words": (CROWD | {"candidates": np.full((2, 2, 2, 3), "a")}, "candidates: <U1 of shape"),
+    "candidates far away": (CROWD | {"candidates": np.full((2, 2, 2, 3), [np.inf, 0, 0.5])}, "candidates: a keypoint far outside any image"),
+    "shares of one candidate": (CROWD | {"shares": np.zeros((2, 1))}, r"shares: float64 of shape \(2, 1\); expected numbers of shape \(2, 2\)"),
+    "shares above 1": (CROWD | {"shares": np.full((2, 2), 0.6)}, "shares: negative, or more than 1 in a frame"),
+    "negative shares": (CROWD | {"shares": np.full((2, 2), -0.1)}, "shares: negative"),
+    "unknown shares": (CROWD | {"shares": np.full((2, 2), np.nan)}, "shares: negative, or more than 1 in a frame"),
+    "uncounted bystanders": (GOOD | {"bystanders": np.zeros((3, 2, 3))}, "no `bystander_counts`"),
+    "bystanders in percent": (CROWD | {"bystanders": np.full((3, 2, 3), 80.0)}, "bystanders: a confidence of 80"),
+    "bystanders of one point": (CROWD | {"bystanders": np.zeros((3, 1, 3))}, r"bystanders: float64 of shape \(3, 1, 3\)"),
+    "counts of four": (CROWD | {"bystander_counts": np.array([2, 2])}, "bystander_counts: int64 .*2 whole numbers that add up to 3, the detections"),
+    "negative counts": (CROWD | {"bystander_counts": np.array([-1, 4])}, "bystander_counts: int64"),
+    "counts that wrap around": (CROWD_OF_NINE | {"bystander_counts": np.array([2**62] * 4 + [0] * 4 + [3])}, "bystander_counts: int64"),
+    "counts of parts": (CROWD | {"bystander_counts": np.array([1.5, 1.5])}, "bystander_counts: float64"),
     "half a frame": (GOOD | {"first": np.array(0.5)}, "first: float64 of shape"),
 }
 
@@ -65,13 +93,21 @@ def test_refused(tmp_path, fault):
 def test_by_hand_it_starts_at_zero(tmp_path):
     np.savez(tmp_path / "a.npz", **GOOD)
     assert read_series(tmp_path / "a.npz").first == 0
+    np.savez(tmp_path / "crowd.npz", **CROWD)
+    crowd = read_series(tmp_path / "crowd.npz")
+    assert [len(crowd.bystanders_in(frame)) for frame in (0, 1, 2)] == [1, 2, 0] and len(crowd.candidates_in(0)) == 2
     with pytest.raises(InputError, match=r"b.npz: no such file; expected an .npz with `keypoints`.*check the path"):
         read_series(tmp_path / "b.npz")
 
 
 @pytest.mark.parametrize("seed", range(200))
 def test_damaged_files_are_a_sentence(tmp_path, seed):
-    write_series(tmp_path / "a.npz", series())
+    # Every second one has other people too.
+    crowd = {
+        "candidates": Candidates(np.full((5, 2, 4, 3), 0.5), np.full((5, 2), 0.4)),
+        "bystanders": Bystanders(np.full((5, 4, 3), 0.5), np.ones(5, int)),
+    }
+    write_series(tmp_path / "a.npz", series()._replace(**crowd if seed % 2 else {}))
     rng, data = random.Random(seed), bytearray((tmp_path / "a.npz").read_bytes())
     for _ in range(rng.choice((1, 2, 8))):
         data[rng.randrange(len(data))] = rng.randrange(256)

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
+from bayes_body.recording.readers.keypoints.openpose import FARTHEST_PX
 
 KEYS = ("candidates", "shares", "bystanders", "bystander_counts")
 # A rounding error of 16 bits.
@@ -65,6 +66,7 @@ def read_candidates(path: Path, arrays: Mapping[str, NDArray[np.generic]], frame
         raise input_error(f"{path}: candidates", problem, f"numbers of shape ({frames}, candidate, {keypoints}, 3)", remedy)
     if shares.shape != points.shape[:2] or shares.dtype.kind != "f":
         raise input_error(f"{path}: shares", f"{shares.dtype} of shape {shares.shape}", f"numbers of shape {points.shape[:2]}", remedy)
+    check_values(f"{path}: candidates", points, remedy)
     shares = np.asarray(shares, np.float32)
     if not (shares >= 0).all() or (shares.sum(axis=1) > 1 + TOLERANCE).any():
         raise input_error(f"{path}: shares", "negative, or more than 1 in a frame", "probabilities that add up to at most 1 in a frame", remedy)
@@ -83,11 +85,38 @@ def read_bystanders(path: Path, arrays: Mapping[str, NDArray[np.generic]], frame
     points, counts = np.asarray(arrays["bystanders"]), np.asarray(arrays["bystander_counts"])
     if points.ndim != 3 or points.shape[1:] != (keypoints, 3) or points.dtype.kind != "f":
         raise input_error(f"{path}: bystanders", f"{points.dtype} of shape {points.shape}", f"numbers of shape (detection, {keypoints}, 3)", remedy)
-    is_counted = counts.shape == (frames,) and counts.dtype.kind in "iu"
-    if not is_counted or counts.astype(np.int64).min(initial=0) < 0 or counts.astype(np.int64).sum() != len(points):
+    check_values(f"{path}: bystanders", points, remedy)
+    if counts.shape != (frames,) or not are_counts(counts, len(points)):
         expected = f"{frames} whole numbers that add up to {len(points)}, the detections"
         raise input_error(f"{path}: bystander_counts", f"{counts.dtype} of shape {counts.shape}", expected, remedy)
     return Bystanders(np.asarray(points, np.float32), counts.astype(np.int64))
+
+
+def check_values(subject: str, points: Float[np.ndarray, "*_ 3"], remedy: str) -> None:
+    """Refuse what no network writes.
+
+    Args:
+        subject: what has the faults, as the beginning of a sentence.
+        points: column, row (pixels; NaN where not seen) and confidence.
+        remedy: what the user can do, as the end of a sentence.
+
+    Raises:
+        InputError: a confidence is not between 0 and 1, or a place is far outside any image.
+    """
+    confidence = points[..., 2][np.isfinite(points[..., 2])]
+    if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
+        raise input_error(subject, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
+    pixels = np.abs(points[..., :2])
+    if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
+        raise input_error(subject, "a keypoint far outside any image", "pixels, or NaN where not found", remedy)
+
+
+def are_counts(counts: NDArray[np.generic], total: int) -> bool:
+    """Whether an array has whole numbers from 0 up that add up to a total."""
+    if counts.ndim != 1 or counts.dtype.kind not in "iu":
+        return False
+    # Each is within the total: sums of larger ones may wrap around.
+    return bool(((counts >= 0) & (counts <= total)).all()) and int(counts.sum()) == total
 
 
 def _check_pair(path: Path, arrays: Mapping[str, NDArray[np.generic]], first: str, second: str, remedy: str) -> None:

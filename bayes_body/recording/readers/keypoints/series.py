@@ -28,9 +28,9 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, replacing
 from bayes_body.base.progress import Watch, unwatched
-from bayes_body.recording.readers.keypoints.candidates import KEYS, Bystanders, Candidates, read_bystanders, read_candidates
+from bayes_body.recording.readers.keypoints.candidates import KEYS, Bystanders, Candidates, check_values, read_bystanders, read_candidates
 from bayes_body.recording.readers.keypoints.lone_person import lone_bodies
-from bayes_body.recording.readers.keypoints.openpose import FARTHEST_PX, MOST_KEYPOINTS
+from bayes_body.recording.readers.keypoints.openpose import MOST_KEYPOINTS
 from bayes_body.recording.readers.keypoints.person import FEWEST, NEAR, SAME, People, choose_person
 from bayes_body.recording.readers.keypoints.triangulate import reprojection_errors, triangulate
 from bayes_body.recording.session.session import CameraSpec, Keypoints
@@ -141,12 +141,7 @@ def _points(path: Path, points: NDArray[np.generic], count: int) -> Float[np.nda
         raise input_error(subject, f"{points.dtype} of shape {points.shape}", f"numbers of shape (frame, {count}, 3)", REMEDY)
     # Files of this program have 32 bits, and a long recording's stay so in memory: numbers of single frames get more when they are read.
     points = np.asarray(points, np.float32 if points.dtype == np.float32 else np.float64)
-    confidence = points[..., 2][np.isfinite(points[..., 2])]
-    if confidence.size and (confidence.min() < 0 or confidence.max() > 1):
-        raise input_error(subject, f"a confidence of {max(confidence.max(), -confidence.min()):g}", "0 to 1", "divide by the largest possible")
-    pixels = np.abs(points[..., :2])
-    if (pixels[~np.isnan(pixels)] > FARTHEST_PX).any():
-        raise input_error(subject, "a keypoint far outside any image", "pixels, or NaN where not found", REMEDY)
+    check_values(subject, points, REMEDY)
     return points
 
 

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from bayes_body.base.errors import input_error
 from bayes_body.base.files.arrays_file import read_arrays
 from bayes_body.base.files.atomic import make_folder, replacing
+from bayes_body.recording.readers.keypoints.candidates import are_counts, check_values
 from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.session.session import Session, View
 
 FOLDER = "detections"
+# Who is there, in short (presence.py).
+PEOPLE_FILE = "people.json"
 KIND = "an .npz with all detections of a camera, written by `bayes-body import`"
 REMEDY = "import the recording again"
 KEYS = ("detections", "counts", "names", "first")
@@ -37,8 +40,8 @@ def has_detections(session: Session) -> bool:
 
 def remove_detections(session: Session) -> None:
     """Remove the files of an earlier import."""
-    for view in session.views:
-        detections_path(session, view).unlink(missing_ok=True)
+    for path in (*(detections_path(session, view) for view in session.views), session.folder / FOLDER / PEOPLE_FILE):
+        path.unlink(missing_ok=True)
 
 
 def write_detections(session: Session, views: Sequence[View], people: Sequence[Sequence[People]], names: Sequence[str]) -> None:
@@ -102,9 +105,12 @@ def _groups(path: Path, arrays: Mapping[str, NDArray[np.generic]], session: Sess
     if points.ndim != 3 or points.shape[1:] != (keypoints, 3) or points.dtype.kind != "f":
         problem = f"{points.dtype} of shape {points.shape}"
         raise input_error(f"{path}: detections", problem, f"numbers of shape (detection, {keypoints}, 3)", REMEDY)
-    is_whole = counts.ndim == 1 and counts.dtype.kind in "iu" and first.dtype.kind in "iu" and first.size == 1
-    if not is_whole or counts.astype(np.int64).min(initial=0) < 0 or counts.astype(np.int64).sum() != len(points):
-        raise input_error(f"{path}: counts", f"{counts.dtype} of shape {counts.shape}", f"numbers that add up to {len(points)}", REMEDY)
+    check_values(f"{path}: detections", points, REMEDY)
+    if first.dtype.kind not in "iu" or first.size != 1:
+        raise input_error(f"{path}: first", f"{first.dtype} of shape {first.shape}", "a whole number, the number of the first frame", REMEDY)
+    if not are_counts(counts, len(points)):
+        problem = f"{counts.dtype} of shape {counts.shape}"
+        raise input_error(f"{path}: counts", problem, f"whole numbers that add up to {len(points)}, the detections", REMEDY)
     counts = counts.astype(np.int64)
     ends = np.cumsum(counts)
     rows = [session.number(view, frame) - int(first.ravel()[0]) for frame in range(session.frames)]
