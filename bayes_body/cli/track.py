@@ -147,6 +147,11 @@ def track(
     asked = Settings(
         session_folder, folder, model, kernel, overrides, runs, first_frame, frames, seed, init, recover, resume, draws, pictures, live_settings
     )
+    if whom is None and live is None and not resume:
+        from bayes_body.recording.readers.people.presence import describe_default
+
+        for sentence in describe_default(recording):
+            say(f"note: {sentence}")
     _run(asked, recording, plugin)
 
 

@@ -99,7 +99,9 @@ def test_people_of_one_recording_have_their_colours_and_pages_together(tmp_path)
     # Of several recordings there is a list, with who is missing; one without pages and without a remark is left out.
     (tmp_path / "walk").mkdir()
     (tmp_path / "walk" / "people_3d.html").write_text("")
-    recordings = [people_links_of(name, tmp_path / name, tmp_path, remark) for name, remark in (("walk", "without <2>"), ("run", "none"), ("hop", ""))]
+    recordings = [
+        people_links_of(name, tmp_path / name, tmp_path, remark) for name, remark in (("walk", "without <2>"), ("run", "none"), ("hop", ""))
+    ]
     several = Elements(page(rows, [], "study", people=recordings))
     assert [attributes["href"] for tag, attributes in several.elements if tag == "a"] == ["./walk/people_3d.html"]
     assert {"All people of 2 recordings", ", without <2>", "run", ": none"} <= set(several.words) and "hop" not in several.words

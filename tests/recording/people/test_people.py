@@ -1,5 +1,6 @@
 """Who is there: films of two and three people, as a network writes them, and the shares of people who exclude each other."""
 
+import json
 from itertools import product
 
 import numpy as np
@@ -13,6 +14,7 @@ from bayes_body.recording.readers.keypoints.person import distinct_people
 from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.people.files import in_all_frames, series_of
 from bayes_body.recording.readers.people.people import people_of
+from bayes_body.recording.readers.people.record import read_crowd, write_people
 from bayes_body.recording.readers.people.shares import MISSED, joint_shares, mean_field_shares
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
 from bayes_body.recording.session.read import load_session
@@ -129,7 +131,7 @@ def test_frames_in_which_nobody_is_detected():
 
 
 @pytest.mark.slow
-def test_everybody_becomes_a_session(tmp_path, capsys):
+def test_everybody_becomes_a_session(tmp_path, capsys, monkeypatch):
     write_project(tmp_path / "project", background_film(2, 60), seed=2)
     with pytest.raises(SystemExit, match="0"):
         main(["import", "pose2sim", str(tmp_path / "project"), str(tmp_path / "session"), "--up", "z", "--fps", "60"])
@@ -145,15 +147,41 @@ def test_everybody_becomes_a_session(tmp_path, capsys):
         series = read_series(session.keypoints_path(session.views[0]))
         assert series.candidates.shares.sum(axis=1).max() <= 1
         assert len(series.bystanders_in(10)) >= 1
-    with pytest.raises(SystemExit, match="2"):
-        main(["track", str(tmp_path / "session"), "--person", "3"])
-    assert "--person: 3, but" in capsys.readouterr().err
+    # What somebody has edited is kept when it is made anew, and said; what nobody has edited is not.
+    edited = tmp_path / "session" / "people" / "person_2" / "session.toml"
+    text = edited.read_text(encoding="utf-8") + "# corrected by hand\n"
+    edited.write_text(text, encoding="utf-8")
+    session = load_session(tmp_path / "session")
+    _, remarks = write_people(session, read_crowd(session))
+    assert [remark for remark in remarks if "edited" in remark] == [
+        f"person 2: its session.toml was edited, and is made anew. The edited one is now {edited.with_name('session_edited.toml')}: "
+        "repeat the changes that still hold."
+    ]
+    assert edited.with_name("session_edited.toml").read_text(encoding="utf-8") == text and "by hand" not in edited.read_text(encoding="utf-8")
+    # Whoever tracks without a choice is told whom, and what else can be chosen.
+    monkeypatch.setattr("bayes_body.cli.track._run", lambda *arguments: None)
+    record = tmp_path / "session" / "detections" / "people.json"
+    rows = json.loads(record.read_text())
+    assert [row["last"] for row in rows] == [59, 59] and rows[0]["pictures"] >= rows[1]["pictures"]
+    for text, sentence, is_close in (
+        (json.dumps(rows), f"most cameras for the longest time: in {rows[0]['pictures']} pictures of 4 cameras, frames 0 to 59, person 2 in", True),
+        (json.dumps([rows[0], rows[1] | {"pictures": 20}]), "person 2 in 20. --person 2 tracks another one, --person all everybody;", False),
+        ('[{"pictures": ', "Several people are in view: person 1 is tracked, who is seen by most cameras", False),
+        ("[]", "", False),
+    ):
+        record.write_text(text)
+        with pytest.raises(SystemExit, match="0"):
+            main(["track", str(tmp_path / "session"), "--out", str(tmp_path / "run")])
+        output = " ".join(capsys.readouterr().out.split())
+        assert sentence in output and bool(sentence) == ("is tracked" in output) and is_close == ("Person 2 is seen nearly as much" in output)
+    for text, sentence in (("7", "--person: 7, but"), ("two", "--person: 'two'; expected the number of a person, from 1 up, or all"), ("0", "'0'")):
+        with pytest.raises(SystemExit, match="2"):
+            main(["track", str(tmp_path / "session"), "--person", text])
+        assert sentence in capsys.readouterr().err
 
 
 def test_a_session_without_several_people_says_so(tmp_path):
     from keypoint_walks import Network, person_of, shipped_walk, walk_session
-
-    from bayes_body.recording.readers.people.record import read_crowd
 
     session, _ = walk_session(tmp_path / "walk", person_of(shipped_walk(2, 0), False), Network())
     with pytest.raises(InputError, match="one person is tracked without --person"):

@@ -30,6 +30,7 @@ from bayes_body.recording.readers.options import Options
 from bayes_body.recording.readers.people.detections import remove_detections, write_detections
 from bayes_body.recording.readers.people.files import in_all_frames, series_of
 from bayes_body.recording.readers.people.people import Person, describe_people, people_of
+from bayes_body.recording.readers.people.presence import write_presences
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, View
 
@@ -282,5 +283,6 @@ def _main_person(
         return None, []
     write_detections(session, views, people, names)
     persons = people_of([view.camera for view in views], people, session.fps, watched("following the people", progress))
+    write_presences(session, persons)
     sentences = describe_people(persons, len(views), session.frame_number, most, MOST_PEOPLE)
     return (in_all_frames(persons[0], people) if persons else None), sentences

@@ -1,5 +1,6 @@
 """A person of a recording as a session of its own: SESSION/people/person_N, with that person's frames, keypoints and lengths."""
 
+import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.base.files.atomic import refused, write_text
 from bayes_body.recording.readers.excerpt import excerpt
 from bayes_body.recording.readers.keypoints.candidates import Bystanders, Candidates
 from bayes_body.recording.readers.keypoints.measured_lengths import with_measured_lengths
@@ -15,10 +17,12 @@ from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.readers.people.people import Person
 from bayes_body.recording.session.people_folders import FOLDER, PREFIX
-from bayes_body.recording.session.read import save_session
+from bayes_body.recording.session.read import FILE_NAME, save_session
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session, Subject, View
 
 KEYPOINTS = "keypoints"
+# The digest of a person's session file as it was made, and the name of one that was edited since.
+DIGEST_FILE, EDITED = ".session_digest", "session_edited"
 
 
 def person_folder(session: Session, number: int) -> Path:
@@ -112,8 +116,40 @@ def write_person(
         calibration=None if session.calibration is None else _moved(session.calibration, session.folder, folder),
     )
     person_session, remarks = with_measured_lengths(person_session)
+    remarks += set_aside(folder)
     save_session(person_session)
+    write_text(folder / DIGEST_FILE, _digest(folder))
     return person_session, remarks
+
+
+def set_aside(folder: Path) -> list[str]:
+    """Keep a person's session file that somebody has changed since it was made, under another name; return a sentence about it.
+
+    Args:
+        folder: of the person's session, which is about to be made anew or to end.
+
+    Raises:
+        InputError: the file system refuses it.
+    """
+    try:
+        is_changed = (folder / DIGEST_FILE).read_bytes() != _digest(folder).encode()
+    except OSError:
+        return []
+    if not is_changed:
+        return []
+    number, path = 1, folder / f"{EDITED}.toml"
+    while path.exists():
+        number += 1
+        path = folder / f"{EDITED}_{number}.toml"
+    try:
+        (folder / FILE_NAME).rename(path)
+    except OSError as error:
+        raise refused(path, "written", error) from None
+    return [f"its {FILE_NAME} was edited, and is made anew. The edited one is now {path}: repeat the changes that still hold."]
+
+
+def _digest(folder: Path) -> str:
+    return hashlib.sha256((folder / FILE_NAME).read_bytes()).hexdigest()
 
 
 def _named(points: Float[np.ndarray, "keypoint 3"], names: Sequence[str]) -> Keypoints:

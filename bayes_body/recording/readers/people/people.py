@@ -15,6 +15,7 @@ from bayes_body.recording.session.session import CameraSpec
 
 # Where the second is seen by this share of the pictures in which the first one is, who is meant may be another.
 CLOSE = 0.8
+CLOSE_REMARK = "Person 2 is seen nearly as much as person 1: look at the pictures of both before you take person 1 for the subject."
 
 
 class Person(NamedTuple):
@@ -126,10 +127,21 @@ def describe_people(persons: Sequence[Person], cameras: int, numbers: Callable[[
     if len(persons) < 2:
         return sentences
     first, second = persons[:2]
+    noun = "camera" if cameras == 1 else "cameras"
     sentences.append(
-        f"There are {len(persons)} people. Person 1 is the subject: seen in {first.pictures} pictures of {cameras} cameras, frames "
+        f"There are {len(persons)} people. Person 1 is the subject: seen in {first.pictures} pictures of {cameras} {noun}, frames "
         f"{numbers(first.first)} to {numbers(first.last)}; person 2 in {second.pictures}. `bayes-body people` shows them, --person 2 tracks another."
     )
-    if second.pictures >= CLOSE * first.pictures:
-        sentences.append("Person 2 is seen nearly as much as person 1: look at the pictures of both before you take person 1 for the subject.")
+    if is_close(first.pictures, second.pictures):
+        sentences.append(CLOSE_REMARK)
     return sentences
+
+
+def is_close(first: int, second: int) -> bool:
+    """Whether the person who is seen in most pictures may not be the one who is meant.
+
+    Args:
+        first: the number of pictures in which person 1 is seen.
+        second: that of person 2.
+    """
+    return second >= CLOSE * first

@@ -7,8 +7,9 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.progress import watched
 from bayes_body.recording.readers.keypoints.person import People
 from bayes_body.recording.readers.people.detections import has_detections, read_detections
-from bayes_body.recording.readers.people.files import person_folder, write_person
+from bayes_body.recording.readers.people.files import person_folder, set_aside, write_person
 from bayes_body.recording.readers.people.people import Person, people_of
+from bayes_body.recording.readers.people.presence import write_presences
 from bayes_body.recording.readers.people.tracks import limited
 from bayes_body.recording.session.people_folders import FOLDER, people_numbers
 from bayes_body.recording.session.read import FILE_NAME
@@ -66,6 +67,7 @@ def write_people(session: Session, crowd: Crowd) -> tuple[list[Path], list[str]]
     Raises:
         InputError: the file system refuses it.
     """
+    write_presences(session, crowd.persons)
     folders, remarks = list[Path](), list[str]()
     for person in crowd.persons:
         made, sentences = write_person(session, crowd.views, person, crowd.people, crowd.names)
@@ -74,6 +76,7 @@ def write_people(session: Session, crowd: Crowd) -> tuple[list[Path], list[str]]
     # Earlier detections may have shown more people.
     for number in people_numbers(session.folder):
         if number > len(folders):
+            remarks += [f"person {number}: {sentence}" for sentence in set_aside(person_folder(session, number))]
             (person_folder(session, number) / FILE_NAME).unlink(missing_ok=True)
     return folders, remarks
 
