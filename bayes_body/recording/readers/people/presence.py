@@ -68,8 +68,7 @@ def describe_default(session: Session) -> list[str]:
     first, second = presences[:2]
     cameras = sum(view.keypoints is not None for view in session.views)
     pictures = f"in {first.pictures} pictures of {cameras} camera{'s' * (cameras != 1)}"
-    tracked = (
-        f"There are {len(presences)} people. Person 1 is tracked, who is seen by most cameras for the longest time: {pictures}, frames {first.first} to "
-        f"{first.last}, person 2 in {second.pictures}."
-    )
+    frames = f"frames {first.first} to {first.last}"
+    reason = f"who is seen by most cameras for the longest time: {pictures}, {frames}, person 2 in {second.pictures}"
+    tracked = f"There are {len(presences)} people. Person 1 is tracked, {reason}."
     return [f"{tracked} {hint}", *([CLOSE_REMARK] if is_close(first.pictures, second.pictures) else [])]
