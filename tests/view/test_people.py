@@ -53,6 +53,12 @@ def test_who_is_there_and_when(runs, tmp_path):
             [(2, 2)],
         ]
         assert people.folder == tmp_path / "study" and people.session.frames == 5
+        # A person of the recording of whom there is no run is named.
+        recording = people.persons[0].run.session.folder.parents[1]
+        assert people.missing == ""
+        (recording / "people" / "person_4").mkdir()
+        (recording / "people" / "person_4" / "session.toml").touch()
+        assert people.name == recording.name and people.missing == "Not shown, for want of a finished run: person 4."
         second = people.persons[1]
         # Every second frame of the recording, from its first on.
         assert second.part_of(range(0, 5, 2)) == range(2, 5, 2) and second.part_of(range(1, 5, 2)) == range(3, 5, 2)
