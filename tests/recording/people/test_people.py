@@ -121,6 +121,10 @@ def test_frames_in_which_nobody_is_detected():
     few = [[np.full((1, len(MARKERS), 3), np.nan)] for _ in range(10)]
     few[0][0][0, :3] = 5.0
     assert people_of(film.rig.cameras[:1], few, film.rig.fps) == []
+    # Two who leave in the same frame.
+    nobody = [np.zeros((0, 0, 3))] * len(film.rig.cameras)
+    gone = people_of(film.rig.cameras, [*people[:12], *[nobody] * 12], film.rig.fps)
+    assert [person.last for person in gone] == [11, 11]
     persons = people_of(film.rig.cameras, people, film.rig.fps)
     assert len(persons) == 2
     series = series_of(in_all_frames(persons[0], people), film.rig.cameras[1], 1, people, MARKERS, 0)

@@ -34,7 +34,7 @@ SAME_M = 0.2
 MOST_PEOPLE = 12
 
 
-@dataclass
+@dataclass(eq=False)
 class Track:
     """A person, as far as he or she was followed.
 
