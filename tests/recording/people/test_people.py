@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from crowd_walks import background_film, crossing_film, detect, door_film, poster_film, write_project
+from crowd_walks import CrowdNetwork, background_film, crossing_film, detect, door_film, poster_film, write_project
 
 from bayes_body.base.errors import InputError
 from bayes_body.cli.main import main
@@ -13,7 +13,7 @@ from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.keypoints.person import distinct_people
 from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.people.files import in_all_frames, series_of
-from bayes_body.recording.readers.people.people import people_of
+from bayes_body.recording.readers.people.people import describe_people, people_of
 from bayes_body.recording.readers.people.record import read_crowd, write_people
 from bayes_body.recording.readers.people.shares import MISSED, joint_shares, mean_field_shares
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
@@ -108,7 +108,20 @@ def test_of_a_crowd_the_largest_are_looked_at():
     crowd = rng.uniform(0, 10, (15, 3)) * sizes[:, None, None]
     people, most = limited([[crowd]])
     assert most == 40
+    (sentence,) = describe_people([], 4, int, most, MOST_PEOPLE)
+    assert sentence == "A camera sees 40 people in one frame: the 12 largest of each picture are looked at."
     np.testing.assert_array_equal(people[0][0], crowd[sizes > 40 - MOST_PEOPLE])
+
+
+def test_one_who_is_detected_twice_everywhere_is_one_person():
+    film = background_film(2, 16).alone(1)
+    people = [list(frame) for frame in zip(*detect(film, CrowdNetwork(doubled=1.0), 2).points, strict=True)]
+    assert sum(len(group) == 2 for frame in people for group in frame) > 50
+    # As an import leaves the second detections out, and even with all of them.
+    distinct = [[distinct_people(group) if len(group) else group for group in frame] for frame in people]
+    for frames in (distinct, people):
+        (person,) = people_of(film.rig.cameras, frames, film.rig.fps)
+        assert person.pictures > 50
 
 
 def test_frames_in_which_nobody_is_detected():

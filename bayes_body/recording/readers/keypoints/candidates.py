@@ -115,8 +115,9 @@ def are_counts(counts: NDArray[np.generic], total: int) -> bool:
     """Whether an array has whole numbers from 0 up that add up to a total."""
     if counts.ndim != 1 or counts.dtype.kind not in "iu":
         return False
+    numbers = counts.astype(np.int64)
     # Each is within the total: sums of larger ones may wrap around.
-    return bool(((counts >= 0) & (counts <= total)).all()) and int(counts.sum()) == total
+    return bool(((numbers >= 0) & (numbers <= total)).all()) and int(numbers.sum()) == total
 
 
 def _check_pair(path: Path, arrays: Mapping[str, NDArray[np.generic]], first: str, second: str, remedy: str) -> None:

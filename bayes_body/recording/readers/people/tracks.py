@@ -122,7 +122,7 @@ def _opened(cameras: Sequence[CameraSpec], groups: Sequence[People], matches: Se
     tracks = list[Track]()
     for match in new_people(cameras, groups, taken):
         assert match.body is not None
-        is_new = len(cameras) == 1 or all(_separation(track.predicted(frame), match.body) > SAME_M for track in current)
+        is_new = len(cameras) == 1 or all(_separation(track.predicted(frame), match.body) > SAME_M for track in (*current, *tracks))
         if is_new:
             tracks.append(Track())
             tracks[-1].see(frame, match)
