@@ -7,7 +7,7 @@ import runpy
 import shutil
 import sys
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,9 +33,30 @@ def _check_shapes(function):
     if function.__name__ == "__init__":
         return function
     try:
-        return beartype.beartype(function)
+        return _nested_checker(function) if "<locals>" in function.__qualname__ else beartype.beartype(function)
     except BeartypeDecorHintException:
         return function
+
+
+_nested_checkers: dict[Hashable, Callable] = {}
+
+
+def _nested_checker(function):
+    """Beartype of a nested function, made once: it is defined at each call of the one around it, and its checker takes milliseconds to make.
+
+    What jaxtyping gives to its checker has the signature of the function and nothing of its body, so of two with one signature either will do.
+    """
+    code = function.__code__
+    counts = code.co_posonlyargcount, code.co_argcount, code.co_kwonlyargcount, code.co_flags
+    key = function.__module__, function.__qualname__, code.co_varnames, counts, tuple(function.__annotations__.items())
+    try:
+        hash(key)
+    except TypeError:
+        # An annotation that holds a list, for example.
+        return beartype.beartype(function)
+    if key not in _nested_checkers:
+        _nested_checkers[key] = beartype.beartype(function)
+    return _nested_checkers[key]
 
 
 # jaxtyping takes its checker as the name of something importable.
@@ -64,6 +85,10 @@ def _mappings() -> int:
     except OSError:
         return 0
 
+
+# Tracing makes many small objects that stay: at Python's usual thresholds, looking for garbage among them took two fifths of its time.
+gc.freeze()
+gc.set_threshold(50_000, 50, 50)
 
 # An example that a busy machine computes slowly is no failure.
 hypothesis.settings.register_profile("no deadline", deadline=None)

@@ -1,9 +1,11 @@
 """The annotations' shapes hold while tests run: a wrong one is an error where it enters."""
 
+import bayes_body_shape_checks
 import jax
 import jax.numpy as jnp
 import jaxtyping
 import pytest
+from jaxtyping import Array, Float
 
 from bayes_body.base.geometry import camera
 
@@ -15,6 +17,20 @@ def _camera() -> camera.Camera:
 def test_a_wrong_shape_is_refused():
     with pytest.raises(jaxtyping.TypeCheckError, match="points"):
         camera.project(_camera(), jnp.zeros(4))
+
+
+def test_a_nested_function_is_checked_and_is_itself_at_every_definition():
+    def defined(count):
+        @jaxtyping.jaxtyped(typechecker=bayes_body_shape_checks.check)
+        def first(values: Float[Array, "3"]) -> Float[Array, " count"]:
+            return values[:count]
+
+        return first
+
+    for count in (1, 2):
+        assert defined(count)(jnp.zeros(3)).shape == (count,)
+        with pytest.raises(jaxtyping.TypeCheckError, match="values"):
+            defined(count)(jnp.zeros(4))
 
 
 def test_a_batch_passes_through_vmap():
