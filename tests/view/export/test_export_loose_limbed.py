@@ -46,8 +46,9 @@ def still_poses():
 
 
 def test_trc(exported):
+    files = exported("trc")
     for moment in MOMENTS:
-        paths = [path if moment == "mean" else path.with_stem(f"{path.stem}_{moment}") for path in exported("trc")]
+        paths = [path if moment == "mean" else path.with_stem(f"{path.stem}_{moment}") for path in files]
         lines = [path.read_text(encoding="utf-8").splitlines() for path in paths]
         assert lines[0][1:5] == lines[1][1:5]
         tables = [np.array([[float(cell) for cell in line.split("\t")] for line in text[6:]]) for text in lines]
