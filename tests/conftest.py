@@ -37,6 +37,7 @@ LONGEST = (
     "workshop/compare/test_benchmark.py",
     "resume/test_resume.py",
     "closed_forms/test_backward_simulation.py",
+    "closed_forms/test_gaussian_paths.py",
     "closed_forms/test_definitions.py",
     "programs/test_python_of_docs.py",
     "closed_forms/test_particle_bp.py",
