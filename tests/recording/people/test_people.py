@@ -15,7 +15,7 @@ from bayes_body.recording.readers.keypoints.series import read_series
 from bayes_body.recording.readers.people.files import in_all_frames, series_of
 from bayes_body.recording.readers.people.people import describe_people, people_of
 from bayes_body.recording.readers.people.record import read_crowd, write_people
-from bayes_body.recording.readers.people.shares import MISSED, joint_shares, mean_field_shares
+from bayes_body.recording.readers.people.shares import MOST_LOG, joint_shares, mean_field_shares
 from bayes_body.recording.readers.people.tracks import MOST_PEOPLE, limited
 from bayes_body.recording.session.read import load_session
 
@@ -44,10 +44,17 @@ def identities(person, numbers):
     return np.array([np.bincount(row).argmax() if row else 0 for row in rows])
 
 
+def wrong_places(person, numbers):
+    """In how many pictures the likeliest detection is of somebody else than in most, and in how many there is one."""
+    rows = enumerate(person.places.tolist(), person.first)
+    seen = [numbers[frame][c][place] for frame, places in rows for c, place in enumerate(places) if place >= 0]
+    return np.sum(np.array(seen) != np.bincount(seen).argmax()), len(seen)
+
+
 @pytest.mark.slow
 def test_two_who_cross_twice_are_not_exchanged():
-    film = crossing_film(3)
-    people, numbers = seen_people(film, 3)
+    film = crossing_film(6)
+    people, numbers = seen_people(film, 6)
     persons = people_of(film.rig.cameras, people, film.rig.fps)
     assert len(persons) == 2
     for person in persons:
@@ -56,6 +63,9 @@ def test_two_who_cross_twice_are_not_exchanged():
         assert (seen[seen > 0] != usual).sum() <= 3
         assert person.frames == len(people)
         assert person.misfit < 0.05
+    # Somebody whom a camera does not see has none of the detections of somebody else there.
+    wrong, seen = np.sum([wrong_places(person, numbers) for person in persons], axis=0)
+    assert wrong <= 0.005 * seen
 
 
 @pytest.mark.slow
@@ -80,25 +90,32 @@ def test_one_camera_follows_in_the_image():
 
 
 def test_shares_are_sums_over_all_assignments():
-    weights = np.random.default_rng(0).uniform(0.05, 1, (3, 4))
-    expected, total = np.zeros((3, 4)), 0.0
-    for chosen in product(range(5), repeat=3):
-        taken = [k for k in chosen if k < 4]
+    weights = np.random.default_rng(0).uniform(0.5, 20, (2, 3, 4))
+    expected = np.array([summed_shares(frame) for frame in weights])
+    np.testing.assert_allclose(joint_shares(weights), expected, atol=2e-3)
+    # A detection is of one person at most.
+    assert joint_shares(weights).sum(axis=-2).max() <= 1
+    # Where somebody explains a detection beyond doubt, both ways exclude the others, also by weights that are as large as they get.
+    sure = np.array([[1.0, 1e-12], [0.8, 0.5]])
+    for way, scale in product((joint_shares, mean_field_shares), (1e2, np.exp(MOST_LOG))):
+        assert way(scale * sure)[0, 0] > 0.9
+        assert way(scale * sure)[1, 1] > 0.9
+
+
+def summed_shares(weights):
+    """Shares by all assignments, one after the other."""
+    shares, total = np.zeros(weights.shape), 0.0
+    people, detections = weights.shape
+    for chosen in product(range(detections + 1), repeat=people):
+        taken = [k for k in chosen if k < detections]
         if len(set(taken)) < len(taken):
             continue
-        weight = np.prod([weights[p, k] if k < 4 else MISSED for p, k in enumerate(chosen)])
+        weight = np.prod([weights[p, k] for p, k in enumerate(chosen) if k < detections])
         total += weight
         for p, k in enumerate(chosen):
-            if k < 4:
-                expected[p, k] += weight
-    np.testing.assert_allclose(joint_shares(weights), expected / total, atol=2e-3)
-    # A detection is of one person at most.
-    assert joint_shares(weights).sum(axis=0).max() <= 1
-    # Where somebody explains a detection beyond doubt, both ways exclude the others.
-    sure = np.array([[1.0, 1e-12], [0.8, 0.5]])
-    for way in (joint_shares, mean_field_shares):
-        assert way(sure)[0, 0] > 0.9
-        assert way(sure)[1, 1] > 0.9
+            if k < detections:
+                shares[p, k] += weight
+    return shares / total
 
 
 def test_of_a_crowd_the_largest_are_looked_at():

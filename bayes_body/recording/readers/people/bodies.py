@@ -15,7 +15,7 @@ from bayes_body.recording.session.session import CameraSpec
 type Bodies = Float[np.ndarray, "body keypoint _"]
 
 
-def sizes_of(people: People) -> Float[np.ndarray, " person"]:
+def sizes_of(people: Float[np.ndarray, "*frame person keypoint 3"]) -> Float[np.ndarray, "*frame person"]:
     """Diagonals of the people's boxes, pixels; 0 for a person without keypoints."""
     places = people[..., :2]
     is_seen = np.isfinite(places).all(axis=-1, keepdims=True)
@@ -24,23 +24,45 @@ def sizes_of(people: People) -> Float[np.ndarray, " person"]:
     return np.linalg.norm(extent, axis=-1)
 
 
-def distances(camera: CameraSpec, bodies: Bodies, people: People) -> Float[np.ndarray, "body person"]:
-    """Median distances between bodies and people in a camera, as fractions of the people's sizes; infinite where too few keypoints are shared.
+def offsets_px(
+    camera: CameraSpec, bodies: Float[np.ndarray, "*frame body keypoint _"], people: Float[np.ndarray, "*frame person keypoint 3"]
+) -> Float[np.ndarray, "*frame body person keypoint"]:
+    """Distances between the keypoints of bodies and of people in a camera, pixels; NaN where one is not known.
 
     Args:
         camera: calibrated.
         bodies: in the world, or in the image of the only camera.
         people: column, row (pixels; NaN where not seen) and confidence.
     """
+    pixels = bodies if bodies.shape[-1] == 2 else project(camera, bodies.reshape(-1, 3)).reshape(*bodies.shape[:-1], 2)
+    columns, rows = (pixels[..., :, None, :, i] - people[..., None, :, :, i] for i in range(2))
+    return np.sqrt(columns * columns + rows * rows)
+
+
+def distances_of_offsets(
+    offsets: Float[np.ndarray, "*frame body person keypoint"], sizes_px: Float[np.ndarray, "*frame person"]
+) -> Float[np.ndarray, "*frame body person"]:
+    """Median offsets as fractions of the people's sizes; infinite where too few keypoints are shared.
+
+    Args:
+        offsets: pixels; NaN where a keypoint is not shared.
+        sizes_px: of the people.
+    """
+    counts, sizes = (~np.isnan(offsets)).sum(axis=-1), sizes_px[..., None, :]
+    # Sorting puts NaN last. Of an even number this is the larger of the middle two.
+    middle = np.minimum(counts // 2, offsets.shape[-1] - 1)[..., None]
+    medians = np.take_along_axis(np.sort(offsets, axis=-1), middle, axis=-1)[..., 0]
+    return np.where((counts >= FEWEST) & (sizes > 0), medians / np.where(sizes > 0, sizes, 1.0), np.inf)
+
+
+def distances(camera: CameraSpec, bodies: Bodies, people: People) -> Float[np.ndarray, "body person"]:
+    """Median distances between bodies and people in a camera, as fractions of the people's sizes; infinite where too few keypoints are shared.
+
+    Arguments as of `offsets_px`.
+    """
     if not len(bodies) or not len(people):
         return np.full((len(bodies), len(people)), np.inf)
-    pixels = bodies if bodies.shape[-1] == 2 else project(camera, bodies.reshape(-1, 3)).reshape(*bodies.shape[:2], 2)
-    offsets_px = np.linalg.norm(pixels[:, None] - people[None, :, :, :2], axis=-1)
-    counts, sizes = (~np.isnan(offsets_px)).sum(axis=-1, keepdims=True), sizes_of(people)
-    # Sorting puts NaN last. Of an even number this is the larger of the middle two.
-    medians = np.take_along_axis(np.sort(offsets_px, axis=-1), np.minimum(counts // 2, offsets_px.shape[-1] - 1), axis=-1)[..., 0]
-    is_known = (counts[..., 0] >= FEWEST) & (sizes > 0)
-    return np.where(is_known, medians / np.where(sizes > 0, sizes, 1.0), np.inf)
+    return distances_of_offsets(offsets_px(camera, bodies, people), sizes_of(people))
 
 
 def body_of(

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.recording.readers.keypoints.person import People
-from bayes_body.recording.readers.people.bodies import distances
-from bayes_body.recording.readers.people.shares import Shares, Weights, joint_shares, weights_of
+from bayes_body.recording.readers.people.association import Association, Exclusion, Presence, associate
+from bayes_body.recording.readers.people.shares import joint_shares
 from bayes_body.recording.readers.people.tracks import Track, follow_people
 from bayes_body.recording.session.session import CameraSpec
 
@@ -25,7 +25,8 @@ class Person(NamedTuple):
         number: from 1 on, by the number of pictures in which the person is seen.
         first: the first frame, counted from 0.
         last: the last frame.
-        places: the likeliest detection of each camera, by the rows of the frames from first to last; -1 where none is.
+        places: the likeliest detection of each camera, by the rows of the frames from first to last; -1 where it is likelier that the person is not
+            detected.
         shares: for each of these frames and each camera, the probability of every detection.
         bodies: for each of these frames, metres, or pixels with one camera; NaN where not known.
         misfit: median distance of the detections from the body, as a fraction of the person's size in the image.
@@ -55,7 +56,7 @@ def people_of(
     people: Sequence[Sequence[People]],
     fps: float,
     watch: Watch = unwatched,
-    exclude: Callable[[Weights], Shares] = joint_shares,
+    exclude: Exclusion = joint_shares,
 ) -> list[Person]:
     """Return everybody in a recording, the one who is seen in most pictures first.
 
@@ -68,32 +69,22 @@ def people_of(
     """
     tracks = follow_people(cameras, people, fps, watch)
     bodies = [_filled(track) for track in tracks]
-    pairs = list(zip(tracks, bodies, strict=True))
-    shares, misfits_of = (
-        [[[np.full(len(group), value) for group in people[track.first + row]] for row in range(len(body))] for track, body in pairs]
-        for value in (0.0, np.inf)
-    )
-    for frame, groups in enumerate(people):
-        present = [i for i, track in enumerate(tracks) if track.first <= frame <= track.last]
-        if not present:
-            continue
-        expected = np.array([_interpolated(bodies[i], frame - tracks[i].first) for i in present])
-        for c, (camera, group) in enumerate(zip(cameras, groups, strict=True)):
-            if not len(group):
-                continue
-            rows = distances(camera, expected, group)
-            for i, shares_of_person, distances_of_person in zip(present, exclude(weights_of(rows)), rows, strict=True):
-                shares[i][frame - tracks[i].first][c] = shares_of_person
-                misfits_of[i][frame - tracks[i].first][c] = distances_of_person
-    persons = [_person(*arguments) for arguments in zip(tracks, bodies, shares, misfits_of, strict=True)]
+    presences = [Presence(track.first, _by_neighbours(body)) for track, body in zip(tracks, bodies, strict=True)]
+    associations = associate(cameras, people, presences, exclude)
+    persons = [_person(*arguments) for arguments in zip(tracks, bodies, associations, strict=True)]
     persons.sort(key=lambda person: (-person.pictures, person.first))
     return [person._replace(number=number) for number, person in enumerate(persons, 1)]
 
 
-def _person(track: Track, bodies: np.ndarray, shares: list[list[np.ndarray]], misfits_of: list[list[np.ndarray]]) -> Person:
-    places = np.array([[int(row.argmax()) if len(row) and row.max() > 0 else -1 for row in frame] for frame in shares])
-    misfits = [row[place] for frame, chosen in zip(misfits_of, places, strict=True) for row, place in zip(frame, chosen, strict=True) if place >= 0]
-    return Person(0, track.first, track.last, places, shares, bodies, float(np.median(misfits)) if misfits else np.inf)
+def _person(track: Track, bodies: np.ndarray, association: Association) -> Person:
+    places = np.array([[_likeliest(row) for row in frame] for frame in association.shares])
+    chosen = zip(association.misfits, places, strict=True)
+    misfits = [row[place] for frame, line in chosen for row, place in zip(frame, line, strict=True) if place >= 0]
+    return Person(0, track.first, track.last, places, association.shares, bodies, float(np.median(misfits)) if misfits else np.inf)
+
+
+def _likeliest(shares: Float[np.ndarray, " detection"]) -> int:
+    return int(shares.argmax()) if len(shares) and shares.max() > 1 - shares.sum() else -1
 
 
 def _filled(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
@@ -105,10 +96,9 @@ def _filled(track: Track) -> Float[np.ndarray, "frame keypoint _"]:
     return np.stack(columns, axis=-1).reshape(len(every), *seen_bodies.shape[1:])
 
 
-def _interpolated(bodies: Float[np.ndarray, "frame keypoint _"], row: int) -> Float[np.ndarray, "keypoint _"]:
-    """The body of a frame by those before and after it."""
-    previous_body, next_body = bodies[max(row - 1, 0)], bodies[min(row + 1, len(bodies) - 1)]
-    return 0.5 * (previous_body + next_body)
+def _by_neighbours(bodies: Float[np.ndarray, "frame keypoint _"]) -> Float[np.ndarray, "frame keypoint _"]:
+    """The body of each frame by those before and after it."""
+    return 0.5 * (bodies[np.maximum(np.arange(len(bodies)) - 1, 0)] + bodies[np.minimum(np.arange(len(bodies)) + 1, len(bodies) - 1)])
 
 
 def describe_people(persons: Sequence[Person], cameras: int, numbers: Callable[[int], int], most: int, limit: int) -> list[str]:

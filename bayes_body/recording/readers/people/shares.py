@@ -1,8 +1,13 @@
 r"""The probability that a detection is a person's, given where all people are: the prior of the likelihood's sum (model/likelihood/candidates.py).
 
-A detection k that lies at the distance $e_{pk}$ from the body of person p, as a fraction of the person's size, has the weight
-$w_{pk} = \exp(-e_{pk}^2 / 2 s^2)$ for p; that p is not detected has the weight $w_0$. The body is the mean of those before and after the frame: the
-detections of the frame itself, which the likelihood reads, do not count twice.
+A detection k whose keypoints m lie $d_{pkm}$ pixels from the body of person p has the weight
+
+$$w_{pk} = \frac{1 - \mu}{\mu} \prod_m \left[ (1 - \epsilon) \frac{t_\nu(d_{pkm}; s)}{b} + \epsilon \right]^{n / M}$$
+
+for p, relative to p not being detected, which happens with probability $\mu$. t is Student's density in the image, with a scale s that is a fraction
+of the person's size; b is the density of a point anywhere in the image. A network places the share $\epsilon$ of the keypoints anywhere. The M
+keypoints of a detection err together, so they count as n. The body is the mean of those before and after the frame: the detections of the frame
+itself, which the likelihood reads, do not count twice.
 
 People exclude each other, as a detection is of one person at most. There are two ways:
 
@@ -14,73 +19,102 @@ People exclude each other, as a detection is of one person at most. There are tw
 import numpy as np
 from jaxtyping import Float
 
-# The standard deviation of the distance, and the weight of not being detected: that of a distance of three standard deviations.
-SPREAD, MISSED = 0.05, float(np.exp(-0.5 * 3.0**2))
+# The scale of a keypoint's error as a fraction of the person's size, its degrees of freedom, and the share of keypoints that are anywhere.
+SCALE, FREEDOM, STRAY = 0.025, 3.0, 0.05
+# The keypoints of a detection count as so many.
+INDEPENDENT = 5
+# How often a network does not detect somebody who is in view.
+MISSED = 0.05
+# Weights stay below the largest number, even those of as many people as the exact sum allows.
+MOST_LOG = 80.0
 # So certain is a share at most: a network can always have detected somebody else.
 MOST, LEAST = 0.999, 1e-3
 ROUNDS = 30
 # With more detections the states of the exact sum are too many.
 MOST_EXACT = 8
 
-type Weights = Float[np.ndarray, "person detection"]
-type Shares = Float[np.ndarray, "person detection"]
+type Weights = Float[np.ndarray, "*frame person detection"]
+type Shares = Float[np.ndarray, "*frame person detection"]
 
 
-def weights_of(distances: Float[np.ndarray, "person detection"]) -> Weights:
-    """Return the weights of distances; 0 for infinite ones."""
-    return np.exp(-0.5 * (distances / SPREAD) ** 2)
+def weights_of(offsets_px: Float[np.ndarray, "*frame person detection keypoint"], sizes_px: np.ndarray, area_px: float) -> Weights:
+    """Return the weights of detections for people, relative to not being detected.
+
+    Args:
+        offsets_px: of the keypoints from the people's bodies; NaN where one is not known, at least one must be.
+        sizes_px: (*frame, detection), of the detections.
+        area_px: of the image, square pixels.
+    """
+    scale = SCALE * np.asarray(sizes_px)[..., None, :, None]
+    tail = (1 + (offsets_px / scale) ** 2 / FREEDOM) ** (-(FREEDOM + 2) / 2)
+    log_ratios = np.log((1 - STRAY) * area_px / (2 * np.pi * scale**2) * tail + STRAY)
+    known = np.isfinite(log_ratios)
+    mean = np.where(known, log_ratios, 0.0).sum(axis=-1) / known.sum(axis=-1)
+    return np.exp(np.minimum(INDEPENDENT * mean + np.log((1 - MISSED) / MISSED), MOST_LOG))
 
 
 def joint_shares(weights: Weights) -> Shares:
-    """Return the shares by the sum over all one-to-one assignments."""
-    people, detections = weights.shape
+    """Return the shares by the sum over all one-to-one assignments.
+
+    Args:
+        weights: relative to not being detected; 0 for a detection that a person cannot have.
+    """
+    people, detections = weights.shape[-2:]
     if detections > MOST_EXACT:
         return mean_field_shares(weights)
-    states = 1 << detections
-    forward = [np.eye(1, states)[0]]
+    nobody = np.zeros((*weights.shape[:-2], 1 << detections))
+    nobody[..., 0] = 1.0
+    forward = [nobody]
     for person in range(people):
-        forward.append(_with_person(forward[-1], weights[person]))
+        forward.append(_with_person(forward[-1], weights[..., person, :]))
     # How much weight the people after this one can add, by the detections that are taken before them.
-    backward = [np.ones(states)]
+    backward = [np.ones(nobody.shape)]
     for person in reversed(range(people)):
-        backward.append(_before_person(backward[-1], weights[person]))
-    total = forward[-1].sum()
-    shares, sets = np.zeros(weights.shape), np.arange(states)
+        backward.append(_before_person(backward[-1], weights[..., person, :]))
+    total, shares = forward[-1].sum(axis=-1), np.zeros(weights.shape)
     for person in range(people):
-        remainder = backward[people - person - 1]
         for k in range(detections):
-            free = sets[(sets >> k & 1) == 0]
-            shares[person, k] = weights[person, k] * (forward[person][free] * remainder[free | 1 << k]).sum() / total
+            free, taken = _sets(detections, k)
+            ways = (forward[person][..., free] * backward[people - person - 1][..., taken]).sum(axis=-1)
+            shares[..., person, k] = weights[..., person, k] * ways / total
     return _limited(shares)
 
 
 def _with_person(weights_before: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    weights_after, sets = MISSED * weights_before, np.arange(len(weights_before))
-    for k, weight in enumerate(weights):
-        free = sets[(sets >> k & 1) == 0]
-        weights_after[free | 1 << k] += weight * weights_before[free]
+    weights_after = weights_before.copy()
+    for k in range(weights.shape[-1]):
+        free, taken = _sets(weights.shape[-1], k)
+        weights_after[..., taken] += weights[..., k, None] * weights_before[..., free]
     return weights_after
 
 
 def _before_person(weights_after: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    weights_before, sets = MISSED * weights_after, np.arange(len(weights_after))
-    for k, weight in enumerate(weights):
-        free = sets[(sets >> k & 1) == 0]
-        weights_before[free] += weight * weights_after[free | 1 << k]
+    weights_before = weights_after.copy()
+    for k in range(weights.shape[-1]):
+        free, taken = _sets(weights.shape[-1], k)
+        weights_before[..., free] += weights[..., k, None] * weights_after[..., taken]
     return weights_before
 
 
+def _sets(detections: int, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The sets of detections without k, and these with it."""
+    sets = np.arange(1 << detections)
+    free = sets[(sets >> k & 1) == 0]
+    return free, free | 1 << k
+
+
 def mean_field_shares(weights: Weights) -> Shares:
-    """Return the shares by iterated exclusion."""
-    shares = weights / (MISSED + weights.sum(axis=1, keepdims=True))
+    """Return the shares by iterated exclusion. Arguments as of `joint_shares`."""
+    excluded, rivals = weights.copy(), 1 - np.eye(weights.shape[-1])
     for _ in range(ROUNDS):
-        for person in range(len(weights)):
-            remainder = np.prod(1 - np.delete(shares, person, axis=0), axis=0)
-            excluded = weights[person] * remainder
-            shares[person] = excluded / (MISSED + excluded.sum())
-    return _limited(shares)
+        for person in range(weights.shape[-2]):
+            total = 1 + excluded.sum(axis=-1, keepdims=True)
+            # Without a difference of large numbers.
+            free = (1 + excluded @ rivals) / total
+            excluded[..., person, :] = weights[..., person, :] * np.delete(free, person, axis=-2).prod(axis=-2)
+    return _limited(excluded / (1 + excluded.sum(axis=-1, keepdims=True)))
 
 
 def _limited(shares: Shares) -> Shares:
     shares = np.where(shares < LEAST, 0.0, shares)
-    return shares * np.minimum(1.0, MOST / np.maximum(shares.sum(axis=1, keepdims=True), MOST))
+    return shares * np.minimum(1.0, MOST / np.maximum(shares.sum(axis=-1, keepdims=True), MOST))
