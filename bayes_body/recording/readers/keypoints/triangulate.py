@@ -21,6 +21,9 @@ from bayes_body.recording.session.session import CameraSpec
 TOLERANCE = 0.02
 # A point nearer to a camera's plane than this (metres) counts as behind it.
 NEAR_M = 0.05
+NO_TURN, UNIT = np.zeros(3), np.eye(3)
+# Points that pairs of cameras propose at a time.
+MOST_AT_ONCE = 50_000
 UNDISTORTION = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 
 
@@ -48,19 +51,42 @@ def triangulate(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "
     """
     tolerance = TOLERANCE * float(np.mean([np.hypot(*camera.size_px) for camera in cameras])) if tolerance_px is None else tolerance_px
     weights, rays = _weighted_rays(cameras, image_points)
+    pairs = list(combinations(range(len(cameras)), 2))
     best = np.full(image_points.shape[1], np.inf)
     agreeing = np.zeros(weights.shape, bool)
-    for pair in combinations(range(len(cameras)), 2):
-        chosen = np.zeros_like(weights)
-        chosen[list(pair)] = weights[list(pair)]
-        errors = reprojection_errors(cameras, _solve(cameras, rays, chosen), image_points)
-        cost = (weights * np.where(weights > 0, np.minimum(errors, tolerance), 0.0) ** 2).sum(axis=0)
-        # A single ray proposes any of its points.
-        better = (cost < best) & (chosen[list(pair)] > 0).all(axis=0)
-        best = np.where(better, cost, best)
-        agreeing = np.where(better, (weights > 0) & (errors <= tolerance), agreeing)
+    # Pairs at once, unless they are many.
+    size = max(1, MOST_AT_ONCE // max(image_points.shape[1], 1))
+    for start in range(0, len(pairs), size):
+        cost, within = _proposed(cameras, rays, weights, image_points, pairs[start : start + size], tolerance)
+        first = cost.argmin(axis=0)
+        least = np.take_along_axis(cost, first[None], axis=0)[0]
+        better = least < best
+        best = np.where(better, least, best)
+        agreeing = np.where(better, np.take_along_axis(within, first[None, None], axis=1)[:, 0], agreeing)
     agreeing &= agreeing.sum(axis=0) >= 2
     return _settled(cameras, rays, image_points, np.where(agreeing, weights, 0.0))
+
+
+def _proposed(
+    cameras: Sequence[CameraSpec],
+    rays: Float[np.ndarray, "camera point 2"],
+    weights: Float[np.ndarray, "camera point"],
+    image_points: Float[np.ndarray, "camera point 3"],
+    pairs: Sequence[tuple[int, int]],
+    tolerance: float,
+) -> tuple[Float[np.ndarray, "pair point"], Bool[np.ndarray, "camera pair point"]]:
+    """The costs of the points that pairs of cameras propose, and which cameras are within the tolerance of them."""
+    chosen = np.zeros((len(cameras), len(pairs), rays.shape[1]))
+    for i, pair in enumerate(pairs):
+        chosen[list(pair), i] = weights[list(pair)]
+    points = _solve(cameras, rays, chosen)
+    # A single ray proposes any of its points.
+    possible = (chosen > 0).sum(axis=0) == 2
+    pixels = np.stack([project(camera, points.reshape(-1, 3)) for camera in cameras]).reshape(*chosen.shape, 2)
+    errors = np.linalg.norm(pixels - image_points[:, None, :, :2], axis=-1)
+    seen = weights[:, None] > 0
+    cost = (weights[:, None] * np.where(seen, np.minimum(errors, tolerance), 0.0) ** 2).sum(axis=0)
+    return np.where(possible, cost, np.inf), seen & (errors <= tolerance)
 
 
 def triangulate_from_all(cameras: Sequence[CameraSpec], image_points: Float[np.ndarray, "camera point 3"]) -> Float[np.ndarray, "point 3"]:
@@ -98,19 +124,19 @@ def _settled(
 
 
 def _solve(
-    cameras: Sequence[CameraSpec], rays: Float[np.ndarray, "camera point 2"], weights: Float[np.ndarray, "camera point"]
-) -> Float[np.ndarray, "point 3"]:
-    """The weighted points; a camera with weight 0 has no influence."""
+    cameras: Sequence[CameraSpec], rays: Float[np.ndarray, "camera point 2"], weights: Float[np.ndarray, "camera *choice point"]
+) -> Float[np.ndarray, "*choice point 3"]:
+    """The weighted points, for one or more choices of weights; a camera with weight 0 has no influence."""
     P = np.stack([np.column_stack([camera.rotation, camera.translation_m]) for camera in cameras])
     rows = np.nan_to_num(rays)[..., None] * P[:, None, 2:] - P[:, None, :2]
     # The right singular vectors of A are the eigenvectors of A^T A, which is much smaller.
     squares = rows.swapaxes(-1, -2) @ rows
     scale = weights
-    points = np.zeros((rays.shape[1], 3))
+    points = np.zeros((*weights.shape[1:], 3))
     for _ in range(3):
-        X = np.linalg.eigh(np.einsum("cp,cpij->pij", scale**2, squares))[1][..., 0]
-        points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-12, 1e-12, X[:, 3:])
-        depth = np.einsum("ci,pi->cp", P[:, 2, :3], points) + P[:, 2, 3:]
+        X = np.linalg.eigh(np.einsum("c...p,cpij->...pij", scale**2, squares))[1][..., 0]
+        points = X[..., :3] / np.where(np.abs(X[..., 3:]) < 1e-12, 1e-12, X[..., 3:])
+        depth = np.einsum("ci,...pi->c...p", P[:, 2, :3], points) + P[:, 2, 3].reshape(-1, *(1,) * (points.ndim - 1))
         scale = weights / np.maximum(np.abs(depth), NEAR_M)
     return points
 
@@ -131,7 +157,7 @@ def project(camera: CameraSpec, points_m: Float[np.ndarray, "point 3"]) -> Float
     in_front = np.where(behind[:, None] | np.isnan(points), [0.0, 0.0, 1.0], points)
     if not len(in_front):
         return np.zeros((0, 2))
-    xy = cv2.projectPoints(in_front, np.zeros(3), np.zeros(3), np.eye(3), np.array(camera.distortion))[0][:, 0]
+    xy = cv2.projectPoints(in_front, NO_TURN, NO_TURN, UNIT, np.array(camera.distortion))[0][:, 0]
     # OpenCV's projection has no skew.
     x = xy[:, 0] + camera.skew * xy[:, 1]
     pixels = np.stack([x, xy[:, 1]], axis=-1) * camera.focal_px + camera.centre_px
@@ -147,5 +173,5 @@ def undistorted_rays(camera: CameraSpec, pixels: Float[np.ndarray, "point 2"]) -
     is_measured = np.isfinite(xy).all(axis=1)
     if is_measured.any():
         inside = xy[is_measured][:, None]
-        xy[is_measured] = cv2.undistortPointsIter(inside, np.eye(3), np.array(camera.distortion), np.eye(3), np.eye(3), UNDISTORTION)[:, 0]
+        xy[is_measured] = cv2.undistortPointsIter(inside, UNIT, np.array(camera.distortion), UNIT, UNIT, UNDISTORTION)[:, 0]
     return xy

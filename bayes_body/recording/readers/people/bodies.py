@@ -65,6 +65,43 @@ def distances(camera: CameraSpec, bodies: Bodies, people: People) -> Float[np.nd
     return distances_of_offsets(offsets_px(camera, bodies, people), sizes_of(people))
 
 
+def distances_in_all(cameras: Sequence[CameraSpec], bodies: Bodies, people: Sequence[People]) -> Float[np.ndarray, "camera body person"]:
+    """Distances, as of `distances`, in all cameras at once; infinite for people that a camera does not have."""
+    padded = np.full((len(cameras), max(map(len, people)), bodies.shape[1], 3), np.nan)
+    for rows, group in zip(padded, people, strict=True):
+        if len(group):
+            rows[: len(group)] = group
+    offsets = np.stack([offsets_px(camera, bodies, rows) for camera, rows in zip(cameras, padded, strict=True)])
+    return distances_of_offsets(offsets, sizes_of(padded)) if padded.shape[1] else np.zeros(offsets.shape[:3])
+
+
+def bodies_of(
+    cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequence[Sequence[int | None]], keypoints: int
+) -> tuple[Float[np.ndarray, "body keypoint 3"], Float[np.ndarray, " body"]]:
+    """The bodies that the chosen detections of several cameras show, and the largest distance of one from its body; a NaN body has an infinite one.
+
+    A camera that is wrong about a keypoint moves the body: see `body_of`.
+
+    Args:
+        cameras: calibrated, at least two.
+        people: for each camera.
+        places: for each body, the chosen detection of each camera; None for none.
+        keypoints: their number.
+    """
+    points = np.full((len(cameras), len(places), keypoints, 3), np.nan)
+    for body, row in enumerate(places):
+        for c, place in enumerate(row):
+            if place is not None:
+                points[c, body] = people[c][place]
+    bodies = triangulate_from_all(cameras, points.reshape(len(cameras), -1, 3)).reshape(points.shape[1:])
+    bodies[np.isfinite(bodies).all(axis=-1).sum(axis=-1) < FEWEST] = np.nan
+    chosen = np.array([[place is not None for place in row] for row in places]).T
+    pixels = np.stack([project(camera, bodies.reshape(-1, 3)).reshape(*bodies.shape[:-1], 2) for camera in cameras])
+    offsets = np.sqrt(((pixels - points[..., :2]) ** 2).sum(axis=-1))
+    misfits = distances_of_offsets(offsets[:, :, None, None], sizes_of(points)[..., None])[..., 0, 0]
+    return bodies, np.where(chosen, misfits, 0.0).max(axis=0)
+
+
 def body_of(
     cameras: Sequence[CameraSpec], people: Sequence[People], places: Sequence[int | None], is_robust: bool = True
 ) -> Float[np.ndarray, "keypoint _"] | None:

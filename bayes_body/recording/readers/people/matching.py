@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
 from bayes_body.recording.readers.keypoints.person import NEAR, SAME, People
-from bayes_body.recording.readers.people.bodies import Bodies, body_of, distances
+from bayes_body.recording.readers.people.bodies import Bodies, bodies_of, body_of, distances, distances_in_all
 from bayes_body.recording.session.session import CameraSpec
 
 type Places = tuple[int | None, ...]
@@ -43,21 +43,38 @@ def match_known(cameras: Sequence[CameraSpec], people: Sequence[People], bodies:
         bodies: where the known people should be.
     """
     chosen = [[None] * len(cameras) for _ in bodies]
-    for c, (camera, group) in enumerate(zip(cameras, people, strict=True)):
-        misfits = distances(camera, bodies, group)
-        costs = np.where(misfits <= NEAR, misfits, FAR)
+    for c, (misfits, group) in enumerate(zip(distances_in_all(cameras, bodies, people), people, strict=True)):
+        costs = np.where(misfits[:, : len(group)] <= NEAR, misfits[:, : len(group)], FAR)
         for body, place in zip(*linear_sum_assignment(costs), strict=True):
             if costs[body, place] < FAR:
                 chosen[body][c] = int(place)
-    return [agreeing(cameras, people, tuple(places)) for places in chosen]
+    if len(cameras) == 1:
+        return [agreeing(cameras, people, tuple(places)) for places in chosen]
+    shown = bodies_of(cameras, people, chosen, bodies.shape[1])
+    return [_match(cameras, people, tuple(places), body, misfit) for places, body, misfit in zip(chosen, *shown, strict=True)]
 
 
-def agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places) -> Match:
-    """Return the places without the detections that disagree with the body that all show, the farthest first."""
+def _match(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, body: np.ndarray, misfit: float) -> Match:
+    """Return the match of a person whose detections show a body with some largest distance."""
+    is_seen = len(places) - places.count(None) >= 2
+    if is_seen and misfit <= CLEARLY * SAME:
+        return Match(places, body)
+    return agreeing(cameras, people, places, is_seen and bool(np.isfinite(misfit)))
+
+
+def agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], places: Places, is_doubtful: bool = False) -> Match:
+    """Return the places without the detections that disagree with the body that all show, the farthest first.
+
+    Args:
+        cameras: calibrated.
+        people: for each camera.
+        places: the chosen detection of each camera; None for none.
+        is_doubtful: whether it is known that they do not clearly agree.
+    """
     count = sum(place is not None for place in places)
     if len(cameras) == 1 or count < 2:
         return Match(places, body_of(cameras, people, places))
-    for is_robust, limit in ((False, CLEARLY * SAME), (True, SAME)):
+    for is_robust, limit in ((False, CLEARLY * SAME), (True, SAME))[is_doubtful:]:
         body = body_of(cameras, people, places, is_robust)
         if body is None:
             return Match((None,) * len(places), None)
