@@ -74,6 +74,7 @@ def agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], places: Pl
     count = sum(place is not None for place in places)
     if len(cameras) == 1 or count < 2:
         return Match(places, body_of(cameras, people, places))
+    misfits = list[float]()
     for is_robust, limit in ((False, CLEARLY * SAME), (True, SAME))[is_doubtful:]:
         body = body_of(cameras, people, places, is_robust)
         if body is None:
