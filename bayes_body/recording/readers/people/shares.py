@@ -48,8 +48,8 @@ def weights_of(offsets_px: Float[np.ndarray, "*frame person detection keypoint"]
     scale = SCALE * np.asarray(sizes_px)[..., None, :, None]
     tail = (1 + (offsets_px / scale) ** 2 / FREEDOM) ** (-(FREEDOM + 2) / 2)
     log_ratios = np.log((1 - STRAY) * area_px / (2 * np.pi * scale**2) * tail + STRAY)
-    known = np.isfinite(log_ratios)
-    mean = np.where(known, log_ratios, 0.0).sum(axis=-1) / known.sum(axis=-1)
+    is_known = np.isfinite(log_ratios)
+    mean = np.where(is_known, log_ratios, 0.0).sum(axis=-1) / is_known.sum(axis=-1)
     return np.exp(np.minimum(INDEPENDENT * mean + np.log((1 - MISSED) / MISSED), MOST_LOG))
 
 
