@@ -16,7 +16,7 @@ FRAMES, FPS, SD_PX = 6, 60.0, 1.0
 HIPS, KNEES = ("l_hip_y", "r_hip_y"), ("l_knee", "r_knee")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_flexions_are_right_because_lengths_and_cameras_are_unknown(tmp_path):
     movement = movement_of(shipped_walk(FRAMES + 2 * MARGIN, 3), FPS)
