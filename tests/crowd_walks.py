@@ -12,11 +12,7 @@ from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk
-from bayes_body.workshop.simulation.options import Options
-from bayes_body.workshop.simulation.person import build_person
-from bayes_body.workshop.simulation.session import Bystander, simulate
 from bayes_body.workshop.simulation.session_files import CALIBRATION, write_calibration, write_detections
-from bayes_body.workshop.simulation.staging import put, stature_m
 from bayes_body.workshop.simulation.visibility import pixels
 
 # Two markers and the radius of the part between them, metres: what hides somebody behind.
@@ -345,22 +341,3 @@ def _write_blanks(folder, size_px, frames):
     cv2.imwrite(str(folder / "000000.png"), np.arange(width * height).astype(np.uint8).reshape(height, width))
     for frame in range(1, frames):
         os.link(folder / "000000.png", folder / f"{frame:06d}.png")
-
-
-# From the person to the bystander, metres: along the line of sight of C1 and C3, and a little across, so that outlines touch in these views only.
-BESIDE_M = (0.98, 0.52)
-
-
-def touching_session(folder, frames=60, seed=0, company=True):
-    """A filmed session of a person whose outline a bystander touches in the views of C1 and C3; without the bystander if there is no company.
-
-    Silhouettes are a good segmenter's, of both people; true_masks are the person's.
-    """
-    rig = Film(()).rig
-    people = []
-    for number, place in enumerate(((0.0, 0.0, 0.0), (*BESIDE_M, 0.0))):
-        landmarks = put(stroll(frames, 2 * seed + number), rig.aim_m, place)
-        people.append(Bystander(landmarks, build_person(2 * seed + number + 3, stature_m(landmarks))))
-    options = Options(segmentation="good", true_masks=True, seed=seed)
-    bystanders = people[1:] if company else []
-    return simulate(people[0].landmarks, rig, people[0].person, options, Path(folder), bystanders=bystanders)[0]

@@ -1,12 +1,14 @@
 """What a bystander does to a track by silhouettes: `python tests/bench/bystander.py FOLDER [--frames N] [--seeds 1 2] [--model M] [--json F]`.
 
-Two simulated people walk side by side, so that their outlines touch in two of four views. One of them is tracked three ways: filmed alone; with the
-other one, whom nobody knows; and with the other one, whose keypoints are in the files. Read the ratios of the errors to that without a bystander.
+Two simulated people walk side by side, so that their outlines touch in two of four views, which the true silhouettes confirm. One of them is tracked
+three ways: filmed alone; with the other one, whom nobody knows; and with the other one, whose keypoints are in the files. Read the ratios of the
+errors to that without a bystander. `--rig humaneva_7 --cameras BW1,BW2,BW3,BW4` films with other cameras, and `--view 1` has outlines touch in the
+second and the fourth.
 """
 
 import argparse
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import bayes_body as bb
@@ -14,11 +16,13 @@ import bayes_body as bb
 # Before the other imports, which may touch JAX.
 bb.configure(devices=1)
 
+import cv2  # noqa: E402
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
 from bayes_body.base.files.shipped import definitions_folder  # noqa: E402
 from bayes_body.recording.evidence.markers import MARKERS  # noqa: E402
+from bayes_body.recording.readers.images import read_mask  # noqa: E402
 from bayes_body.recording.readers.keypoints.candidates import Bystanders  # noqa: E402
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series  # noqa: E402
 from bayes_body.recording.readers.rig import read_rig  # noqa: E402
@@ -26,49 +30,19 @@ from bayes_body.recording.session.read import load_session  # noqa: E402
 from bayes_body.results.metrics.truth import draws_against_truth  # noqa: E402
 from bayes_body.tracking.track import track  # noqa: E402
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk  # noqa: E402
+from bayes_body.workshop.simulation.film import TRUE_MASKS, TRUE_MASKS_OF_ALL, mask_pattern  # noqa: E402
 from bayes_body.workshop.simulation.options import Options  # noqa: E402
-from bayes_body.workshop.simulation.person import Performance, Person, build_person  # noqa: E402
-from bayes_body.workshop.simulation.session import simulate  # noqa: E402
+from bayes_body.workshop.simulation.person import build_person  # noqa: E402
+from bayes_body.workshop.simulation.session import Bystander, simulate  # noqa: E402
 from bayes_body.workshop.simulation.staging import centred, scaled, stature_m  # noqa: E402
-from bayes_body.workshop.simulation.surface import Mesh  # noqa: E402
 from bayes_body.workshop.simulation.visibility import detected  # noqa: E402
 
-# Where the other one walks: 45 cm beside the tracked person as the first and the third camera of the rig see it, and a metre as the others do.
-BESIDE_M = 1.1 * np.array([np.cos(np.deg2rad(64.0)), np.sin(np.deg2rad(64.0)), 0.0])
+# Where the other one walks, from the tracked person: so many metres away, and so many degrees beside the line of sight of a camera of four that stand
+# in the corners. It is 45 cm beside as this camera and the one across see it, and a metre as the others do.
+AWAY_M, BESIDE_DEG = 1.1, 23.7
 # A network's keypoints: standard deviation, pixels.
 KEYPOINT_SD_PX = 3.0
 WAYS = ("alone", "with a bystander", "with his keypoints")
-
-
-@dataclass(frozen=True)
-class Together:
-    """Two performances in one scene, with the interface of one."""
-
-    performances: tuple[Performance, Performance]
-
-    def __len__(self) -> int:
-        return len(self.performances[0])
-
-    def mesh(self, frame: int) -> Mesh:
-        first, second = (performance.mesh(frame) for performance in self.performances)
-        parts = (first.vertices, second.vertices), (first.faces, second.faces + len(first.vertices)), (first.colours, second.colours)
-        return Mesh(*map(np.concatenate, parts))
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A person who does not come alone, with the interface of a person."""
-
-    person: Person
-    other: Person
-    other_landmarks: dict
-
-    @property
-    def build(self):
-        return self.person.build
-
-    def perform(self, landmarks, fps):
-        return Together((self.person.perform(landmarks, fps), self.other.perform(self.other_landmarks, fps)))
 
 
 def walker(rig, frames, seed):
@@ -79,6 +53,14 @@ def walker(rig, frames, seed):
     stature = stature_m(landmarks)
     person = build_person(seed, stature)
     return person, centred(scaled(landmarks, person.build.height_m / stature), rig.aim_m)
+
+
+def place_beside(rig, view):
+    """Where the other one walks from the tracked person, metres; `view` is the number of a camera that sees their outlines touch."""
+    camera = rig.cameras[view]
+    towards = -camera.rotation.T @ camera.translation_m - rig.aim_m
+    angle = np.arctan2(towards[1], towards[0]) + np.deg2rad(BESIDE_DEG)
+    return AWAY_M * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def points_of(rig, landmarks, seed):
@@ -105,22 +87,39 @@ def with_others(session, rig, landmarks, other_landmarks, seed):
     return replace(session, views=tuple(views))
 
 
-def sessions(folder, frames, seed):
+def sessions(folder, rig, frames, seed, view):
     """The session of each way."""
-    rig = read_rig(definitions_folder() / "rigs" / "room_4.toml")
     person, landmarks = walker(rig, frames, seed)
     other, other_landmarks = walker(rig, frames, seed + 100)
-    shift = BESIDE_M + (landmarks["pelvis"] - other_landmarks["pelvis"]).mean(axis=0) * [1, 1, 0]
+    shift = place_beside(rig, view) + (landmarks["pelvis"] - other_landmarks["pelvis"]).mean(axis=0) * [1, 1, 0]
     other_landmarks = {name: track + shift for name, track in other_landmarks.items()}
-    options = Options(seed=seed)
-    folders = [folder / f"{seed}_{name}" for name in ("alone", "crowd")]
-    filmed = []
-    for subject, place in zip((person, Pair(person, other, other_landmarks)), folders, strict=True):
+    options, filmed = Options(seed=seed, true_masks=True), []
+    for name, bystanders in (("alone", ()), ("crowd", (Bystander(other_landmarks, other),))):
+        place = folder / f"{seed}_{view}_{name}"
         if not (place / "session.toml").exists():
-            simulate(landmarks, rig, subject, options, place)
+            simulate(landmarks, rig, person, options, place, bystanders=bystanders)
         filmed.append(load_session(place))
     alone, crowd = filmed
     return alone, crowd, with_others(crowd, rig, landmarks, other_landmarks, seed)
+
+
+def contacts(alone, crowd):
+    """For each camera the share of frames in which outlines touch, and the share of the tracked person that the other one hides."""
+    rows = {}
+    for camera in (view.camera for view in crowd.views):
+        single, subject, people = (
+            [read_mask(session.folder / (mask_pattern(kind, camera.name) % frame), camera.size_px) for frame in range(crowd.frames)]
+            for session, kind in ((alone, TRUE_MASKS), (crowd, TRUE_MASKS), (crowd, TRUE_MASKS_OF_ALL))
+        )
+        touches = [is_one_figure(mask, everyone) for mask, everyone in zip(subject, people, strict=True)]
+        rows[camera.name] = float(np.mean(touches)), 1 - np.sum(subject) / np.sum(single)
+    return rows
+
+
+def is_one_figure(subject, people):
+    """Whether a figure of the silhouette of all people has the subject and the other one in it."""
+    labels = cv2.connectedComponents(people.astype(np.uint8))[1]
+    return bool(set(labels[subject]) & set(labels[people & ~subject]) - {0})
 
 
 def main() -> None:
@@ -129,17 +128,24 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--model", default="silhouettes")
+    parser.add_argument("--rig", default="room_4")
+    parser.add_argument("--cameras", help="four of the rig's, in the order in which they stand around the room")
+    parser.add_argument("--view", type=int, default=0, choices=range(4), help="camera that sees the outlines touch, and the one across")
     parser.add_argument("--json", type=Path, help="write the figures there, too")
     options = parser.parse_args()
+    rig = read_rig(definitions_folder() / "rigs" / f"{options.rig}.toml")
+    rig = rig.select(options.cameras.split(",")) if options.cameras else rig
     rows = []
     for seed in options.seeds:
-        errors = []
-        for way, session in zip(WAYS, sessions(options.folder, options.frames, seed), strict=True):
+        errors, filmed = [], sessions(options.folder, rig, options.frames, seed, options.view)
+        touching = contacts(*filmed[:2])
+        print(f"seed {seed}: " + "; ".join(f"{name} touches {share:.0%}, hides {part:.1%}" for name, (share, part) in touching.items()), flush=True)
+        for way, session in zip(WAYS, filmed, strict=True):
             model = bb.load_model(options.model, session, show=lambda _: None)
             draws = track(jax.random.key(seed), session, model, model.kernel(), frames=options.frames)
             errors.append(1000 * float(draws_against_truth(session, draws).plain.frame_error.mean()))
             print(f"seed {seed}, {way}: {errors[-1]:.1f} mm, {errors[-1] / errors[0]:.2f} of alone", flush=True)
-        rows.append({"seed": seed, **dict(zip(WAYS, errors, strict=True))})
+        rows.append({"seed": seed, **dict(zip(WAYS, errors, strict=True)), "touches and hides": touching})
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
 
