@@ -43,6 +43,7 @@ from bayes_body.results.storage.run_changes import refuse_changes
 from bayes_body.results.storage.run_file import describe, write_run_file
 from bayes_body.runs.device import device_lines
 from bayes_body.runs.finish import check_pairs, finish, kept_frames, remark_on_stop
+from bayes_body.runs.other_figures import observations_near_body
 from bayes_body.runs.progress import progress_bar
 from bayes_body.runs.recovery import PersonRecovery
 from bayes_body.runs.settings import (
@@ -131,6 +132,8 @@ class BegunRun(NamedTuple):
         """Track the frames that are not stored yet (`tracking.track`)."""
         key = jax.random.key(self.seed)
         session, model, kernel = self.session, self.model, self.kernel
+        if arriving is None:
+            arriving = observations_near_body(session, model, range(len(self.frames), wanted), self.frames)
         return track(key, session, model, kernel, self.particles, self.runs, wanted, on_frame, self.frames, self.program, recovery, arriving)
 
     def finish(self, session: Session, draws: Draws, show: Show, bar: bool, pictures: bool, live: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from bayes_body.results.storage.run_file import computing_here, read_run_file, w
 from bayes_body.results.storage.saved_run import SavedRun, load_run
 from bayes_body.runs.finish import finish, kept_frames, remark_on_stop
 from bayes_body.runs.joint import check_joint, joint_paths
+from bayes_body.runs.other_figures import near_body
 from bayes_body.runs.progress import smoothing_bar
 from bayes_body.runs.settings import COMBINE_AGAIN, Record, refuse_occupied
 from bayes_body.runs.size import smoothing_lines
@@ -101,12 +102,13 @@ def _smooth(source: SavedRun, settings: SmoothSettings, show: Show, bar: bool) -
         show(line)
     for note in _notes(source, joint):
         show(note)
+    seeing = near_body(session, model, filtered)
     with remark_on_stop(frames, settings.out, show):
         if isinstance(options, JointOptions):
-            paths = joint_paths(session, model, options, filtered, jax.random.key(seed), frames, bar)
+            paths = joint_paths(session, seeing, options, filtered, jax.random.key(seed), frames, bar)
         else:
             with smoothing_bar(bar and len(frames) < len(filtered), len(frames)) as on_frame:
-                paths = smooth(session, model, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
+                paths = smooth(session, seeing, Smoother(options), filtered, jax.random.key(seed), frames, on_frame)
         draws = Draws(model, paths, timing_of(paths), tuple(view.camera.name for view in session.views), session.first_frame, declared_sample=True)
         figures = {"kernel": str(source.kernel["kind"]), "seed": seed}
         return finish(session, draws, Results(settings.out, frames), figures, [], show, bar, smoothed=True, pictures=settings.pictures)

@@ -30,6 +30,7 @@ from bayes_body.results.posterior.joint_sentences import joint_sentences
 from bayes_body.results.posterior.stream import tree_on_demand
 from bayes_body.runs.finish import pair_remarks
 from bayes_body.runs.joint import check_joint, joint_paths
+from bayes_body.runs.other_figures import near_body, observations_near_body
 from bayes_body.runs.progress import progress_bar, smoothing_bar
 from bayes_body.tracking import smooth as smoothing
 from bayes_body.tracking import track as tracking
@@ -80,12 +81,13 @@ def track(
             a frame cannot be stored; no Markov chain of a frame accepts a move.
     """
     _check_order(key, session, model, kernel)
-    bar = sys.stderr.isatty()
+    bar, store = sys.stderr.isatty(), [] if into is None else into
     for sentence in () if kernel is None else (settings_left_out(model, kernel, particles), _unknowns_warning(model, kernel)):
         if sentence:
             warnings.warn(sentence, RunWarning, stacklevel=2)
-    with progress_bar(done=len(into or ())) if bar and on_frame is None else nullcontext(on_frame) as show:
-        draws = tracking.track(key, session, model, kernel, particles, runs, frames, show, into, ahead, recovery)
+    with progress_bar(done=len(store)) if bar and on_frame is None else nullcontext(on_frame) as show:
+        arriving = observations_near_body(session, model, range(len(store), session.frames if frames is None else frames), store)
+        draws = tracking.track(key, session, model, kernel, particles, runs, frames, show, store, ahead, recovery, arriving)
     draws = replace(draws, warnings=tuple(run_sentences(session, draws, bar)))
     for sentence in draws.warnings:
         warnings.warn(sentence, RunWarning, stacklevel=2)
@@ -117,7 +119,8 @@ def smooth(key: Key, session: Session, filtered: Draws, on_frame: Callable[[Smoo
     if isinstance(chosen, JointOptions):
         return _joint(key, session, filtered, chosen)
     with smoothing_bar() if sys.stderr.isatty() and on_frame is None else nullcontext(on_frame) as show:
-        paths = smoothing.smooth(session, filtered.model, Smoother(chosen), filtered.frames, key, [], show)
+        model = near_body(session, filtered.model, filtered.frames)
+        paths = smoothing.smooth(session, model, Smoother(chosen), filtered.frames, key, [], show)
     return replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
 
 
@@ -125,7 +128,7 @@ def _joint(key: Key, session: Session, filtered: Draws, options: JointOptions) -
     """Return paths from one Gaussian of all frames, and warn of what makes it doubtful."""
     restarted = [session.frame_number(index) for index in filtered.frames_restarted]
     check_joint(session, filtered.model, len(filtered.frames), filtered.runs, options.draws, restarted)
-    paths = joint_paths(session, filtered.model, options, filtered.frames, key, [], sys.stderr.isatty())
+    paths = joint_paths(session, near_body(session, filtered.model, filtered.frames), options, filtered.frames, key, [], sys.stderr.isatty())
     draws = replace(filtered, frames=paths, timing=timing_of(paths), warnings=(), smoothed=True)
     diagnosis = diagnose(tree_on_demand(draws))
     draws = replace(draws, warnings=tuple(joint_sentences(diagnosis, Thresholds())))

@@ -8,6 +8,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.results.storage import FrameFiles
 from bayes_body.results.storage.names import FRAMES_FOLDER
 from bayes_body.results.storage.saved_run import load_run
+from bayes_body.runs.other_figures import near_body
 from bayes_body.tracking.window import Prior, WindowPosterior, window_posterior
 
 
@@ -47,4 +48,5 @@ def window_of_run(
         filtered = FrameFiles(run.folder / FRAMES_FOLDER, run.id)
         begin = run.frames - frames if first is None else first - run.first_frame
         window = range(begin, begin + frames)
-        return window_posterior(run.session, run.model, filtered, window, jax.random.key(seed), prior, paths, moves, **options)
+        model = near_body(run.session, run.model, filtered)
+        return window_posterior(run.session, model, filtered, window, jax.random.key(seed), prior, paths, moves, **options)

@@ -1,9 +1,9 @@
 """What a bystander does to a track by silhouettes: `python tests/bench/bystander.py FOLDER [--frames N] [--seeds 1 2] [--model M] [--json F]`.
 
 Two simulated people walk side by side, so that their outlines touch in two of four views, which the true silhouettes confirm. One of them is tracked
-three ways: filmed alone; with the other one, whom nobody knows; and with the other one, whose keypoints are in the files. Read the ratios of the
-errors to that without a bystander. `--rig humaneva_7 --cameras BW1,BW2,BW3,BW4` films with other cameras, and `--view 1` has outlines touch in the
-second and the fourth.
+in turn: filmed alone; with the other one, whom nobody knows; the same with `figures = "near_body"`; with the other one, whose keypoints are in the
+files; and alone with `near_body`, which is to change nothing (`--ways` chooses). Read the ratios of the errors to that without a bystander.
+`--rig humaneva_7 --cameras BW1,BW2,BW3,BW4` films with other cameras; with `--view 1` outlines touch in the second view and the fourth.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_
 from bayes_body.recording.readers.rig import read_rig  # noqa: E402
 from bayes_body.recording.session.read import load_session  # noqa: E402
 from bayes_body.results.metrics.truth import draws_against_truth  # noqa: E402
+from bayes_body.runs.other_figures import observations_near_body  # noqa: E402
 from bayes_body.tracking.track import track  # noqa: E402
 from bayes_body.workshop.learning.walking_cycle import load_cycle, walk  # noqa: E402
 from bayes_body.workshop.simulation.film import TRUE_MASKS, TRUE_MASKS_OF_ALL, mask_pattern  # noqa: E402
@@ -42,7 +43,7 @@ from bayes_body.workshop.simulation.visibility import detected  # noqa: E402
 AWAY_M, BESIDE_DEG = 1.1, 23.7
 # A network's keypoints: standard deviation, pixels.
 KEYPOINT_SD_PX = 3.0
-WAYS = ("alone", "with a bystander", "with his keypoints")
+WAYS = ("alone", "with a bystander", "with near_body", "with his keypoints", "alone with near_body")
 
 
 def walker(rig, frames, seed):
@@ -88,7 +89,7 @@ def with_others(session, rig, landmarks, other_landmarks, seed):
 
 
 def sessions(folder, rig, frames, seed, view):
-    """The session of each way."""
+    """The session of each of the ways."""
     person, landmarks = walker(rig, frames, seed)
     other, other_landmarks = walker(rig, frames, seed + 100)
     shift = place_beside(rig, view) + (landmarks["pelvis"] - other_landmarks["pelvis"]).mean(axis=0) * [1, 1, 0]
@@ -100,7 +101,20 @@ def sessions(folder, rig, frames, seed, view):
             simulate(landmarks, rig, person, options, place, bystanders=bystanders)
         filmed.append(load_session(place))
     alone, crowd = filmed
-    return alone, crowd, with_others(crowd, rig, landmarks, other_landmarks, seed)
+    return alone, crowd, near_body(crowd), with_others(crowd, rig, landmarks, other_landmarks, seed), near_body(alone)
+
+
+def near_body(session):
+    """The session in which the body tells whose a figure is."""
+    return replace(session, segmentation=replace(session.segmentation, figures="near_body"))
+
+
+def mean_error_mm(session, model_name, frames, seed):
+    """Track the session, and return the mean distance of the markers from the truth, mm."""
+    model, store = bb.load_model(model_name, session, show=lambda _: None), []
+    arriving = observations_near_body(session, model, range(frames), store)
+    draws = track(jax.random.key(seed), session, model, model.kernel(), frames=frames, into=store, arriving=arriving)
+    return 1000 * float(draws_against_truth(session, draws).plain.frame_error.mean())
 
 
 def contacts(alone, crowd):
@@ -128,6 +142,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--model", default="silhouettes")
+    parser.add_argument("--ways", nargs="+", default=WAYS, choices=WAYS)
     parser.add_argument("--rig", default="room_4")
     parser.add_argument("--cameras", help="four of the rig's, in the order in which they stand around the room")
     parser.add_argument("--view", type=int, default=0, choices=range(4), help="camera that sees the outlines touch, and the one across")
@@ -137,15 +152,15 @@ def main() -> None:
     rig = rig.select(options.cameras.split(",")) if options.cameras else rig
     rows = []
     for seed in options.seeds:
-        errors, filmed = [], sessions(options.folder, rig, options.frames, seed, options.view)
-        touching = contacts(*filmed[:2])
+        errors, filmed = {}, sessions(options.folder, rig, options.frames, seed, options.view)
+        touching = contacts(filmed[0], filmed[1])
         print(f"seed {seed}: " + "; ".join(f"{name} touches {share:.0%}, hides {part:.1%}" for name, (share, part) in touching.items()), flush=True)
         for way, session in zip(WAYS, filmed, strict=True):
-            model = bb.load_model(options.model, session, show=lambda _: None)
-            draws = track(jax.random.key(seed), session, model, model.kernel(), frames=options.frames)
-            errors.append(1000 * float(draws_against_truth(session, draws).plain.frame_error.mean()))
-            print(f"seed {seed}, {way}: {errors[-1]:.1f} mm, {errors[-1] / errors[0]:.2f} of alone", flush=True)
-        rows.append({"seed": seed, **dict(zip(WAYS, errors, strict=True)), "touches and hides": touching})
+            if way in options.ways:
+                errors[way] = mean_error_mm(session, options.model, options.frames, seed)
+                ratio = f", {errors[way] / errors[WAYS[0]]:.2f} of alone" if WAYS[0] in errors else ""
+                print(f"seed {seed}, {way}: {errors[way]:.1f} mm{ratio}", flush=True)
+        rows.append({"seed": seed, **errors, "touches and hides": touching})
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
 

@@ -1,4 +1,4 @@
-"""The region of an image that other people cover: from their keypoints, or from figures in the silhouettes.
+"""The region of an image that other people cover: from their keypoints, or from where the subject was.
 
 What another person covers counts as not seen, whoever is in front: where two silhouettes are one, nobody can tell whose a pixel is. A person is
 drawn as capsules between keypoints, with widths in proportion to the person's size in the image. A capsule is drawn only if both of its keypoints are
@@ -49,6 +49,9 @@ HAND, FOOT_RADIUS = 0.75, 0.1
 GAP = 0.01
 # A figure of less than this share of the largest one, and beside a covered region, is what the region has missed.
 REMNANT = 0.04
+# What a body does not explain is farther from it than this share of the root of its area, about 10 cm: clothes, hair and the way to the next frame
+# are nearer. It has at least this share of the body's area: a leg has less. The body must lie on the silhouette by this share.
+FAR, LEAST_FIGURE, ON_FIGURE = 0.15, 0.2, 0.5
 # Farther outside of an image, in sides of it, nothing is drawn.
 FARTHEST = 4
 
@@ -85,11 +88,25 @@ def largest_figure(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask & (labels == sizes.argmax())
 
 
-def other_figures(mask: NDArray[np.bool_]) -> Mask | None:
-    """Return the region of all figures of a mask but the largest, with a narrow margin that leaves the largest out; None without others."""
-    largest = largest_figure(mask)
-    smaller_figures = mask & ~largest
-    return _widened(smaller_figures) & ~largest if smaller_figures.any() else None
+def beside_body(mask: NDArray[np.bool_], body: NDArray[np.bool_]) -> Mask | None:
+    """Return the region of a silhouette that a body does not explain, and what is as near to it as to the body, (row, column); None if all is.
+
+    What is far from the body and large is another figure's, whether it stands apart or touches the subject's. Smaller pieces may be an arm that the
+    body has lost. Where the body is not on the silhouette, nobody can tell whose it is, and all of it is seen.
+
+    Args:
+        mask: the silhouette.
+        body: the projection of the body near to where it is now, such as that of the frame before.
+    """
+    area = np.count_nonzero(body)
+    if not area or np.count_nonzero(mask & body) < ON_FIGURE * area:
+        return None
+    reach = FAR * np.sqrt(area)
+    unexplained = mask & ~_within(body, reach)
+    labels = np.asarray(cv2.connectedComponents(unexplained.astype(np.uint8))[1], np.int32)
+    is_other = np.bincount(labels[unexplained], minlength=1) >= LEAST_FIGURE * area
+    figures = unexplained & is_other[labels]
+    return _widened(mask) & _within(figures, reach + _gap_px(mask)) if figures.any() else None
 
 
 def ambiguous(mask: NDArray[np.bool_], region: NDArray[np.bool_]) -> Mask:
@@ -110,6 +127,11 @@ def ambiguous(mask: NDArray[np.bool_], region: NDArray[np.bool_]) -> Mask:
 def _widened(mask: NDArray[np.bool_]) -> Mask:
     side = 2 * _gap_px(mask) + 1
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)), np.uint8).view(np.bool_)
+
+
+def _within(mask: NDArray[np.bool_], reach_px: float) -> Mask:
+    """Where a mask that is not empty is at most so far away."""
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5) <= reach_px, np.bool_)
 
 
 def _gap_px(mask: NDArray[np.bool_]) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_body.base.errors import input_error
-from bayes_body.recording.observation.covered import ambiguous, covered_by, other_figures, uncovered
+from bayes_body.recording.observation.covered import ambiguous, beside_body, covered_by, uncovered
 from bayes_body.recording.observation.pictures import Colours, Greys, check_index, has_picture, read_colour, read_greys
 from bayes_body.recording.observation.segmentation import EVEN
 from bayes_body.recording.observation.silhouettes import has_silhouettes, silhouette_levels
@@ -35,8 +35,8 @@ class Frame(NamedTuple):
     reading the images. `candidates` are the detections that may be the subject's, where the session knows several people: for each camera, keypoints
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
     `covered` (row, column) is where other people cover each camera's image: not seen, for all that reads silhouettes. It is computed on first access,
-    and None for a camera that sees no other person in this frame. Both are None as a whole where no camera sees several people in any frame, except
-    that `covered` also has the figures that the session says are not the subject's.
+    and None for a camera that sees no other person in this frame. Both are None as a whole where no camera sees several people in any frame, but
+    `covered` is not where the session says that a silhouette may be of several people.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -115,8 +115,10 @@ def read_frame(
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
-    if covered is not None or session.segmentation.figures == "largest":
-        covered = _OnDemand([_whole_region(session, covered, masks, camera) for camera in range(len(masks))])
+    if covered is not None:
+        covered = _OnDemand([_whole_region(covered, masks, camera) for camera in range(len(masks))])
+    elif session.segmentation.figures == "near_body":
+        covered = (None,) * len(masks)
     return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered)
 
 
@@ -192,20 +194,32 @@ def _region(file: KeypointSeries | None, number: int | None, size_px: tuple[int,
 
 
 def _whole_region(
-    session: Session, covered: Sequence[NDArray[np.bool_] | None] | None, masks: Sequence[NDArray[np.bool_] | None], camera: int
+    covered: Sequence[NDArray[np.bool_] | None], masks: Sequence[NDArray[np.bool_] | None], camera: int
 ) -> Callable[[], NDArray[np.bool_] | None]:
     """The region that is not seen, as the silhouette shows it."""
 
     def region() -> NDArray[np.bool_] | None:
-        by_keypoints, mask = None if covered is None else covered[camera], masks[camera]
-        if mask is None:
-            return by_keypoints
-        hidden = None if by_keypoints is None else ambiguous(mask, by_keypoints)
-        # The bystander whom keypoints show may be the largest figure.
-        figures = other_figures(uncovered(mask, hidden)) if session.segmentation.figures == "largest" else None
-        return figures if hidden is None else hidden if figures is None else hidden | figures
+        by_keypoints, mask = covered[camera], masks[camera]
+        return by_keypoints if mask is None or by_keypoints is None else ambiguous(mask, by_keypoints)
 
     return cache(region)
+
+
+def near_bodies(frame: Frame, bodies: Sequence[NDArray[np.bool_]]) -> Frame:
+    """Return a frame in which figures of the silhouettes that a body does not explain count as not seen (`covered.beside_body`).
+
+    Args:
+        frame: the frame.
+        bodies: the projection of the body into each camera's image, (row, column).
+
+    Raises:
+        InputError: its session can have no silhouettes, or one cannot be computed.
+    """
+    regions = list[NDArray[np.bool_] | None]()
+    for mask, body, hidden in zip(masks_of(frame), bodies, covered_of(frame), strict=True):
+        figures = None if mask is None else beside_body(uncovered(mask, hidden), body)
+        regions.append(hidden if figures is None else figures if hidden is None else hidden | figures)
+    return frame._replace(covered=regions)
 
 
 class _Picture:

@@ -104,7 +104,7 @@ def _segmentation_table(segmentation: Segmentation) -> Table:
     _add(table, "learning_frames", segmentation.learning_frames, "number of evenly spaced frames from which the background is learned")
     _add(table, "shadows", segmentation.shadows, "darker pixels with the background's colour count as background")
     _add(table, "follow_exposure", segmentation.follow_exposure, "match each image's brightness to the background's first")
-    _add(table, "figures", segmentation.figures, "all, or the largest: other figures of a silhouette then count as not seen")
+    _add(table, "figures", segmentation.figures, "all, or near_body: what is large and away from the body counts as not seen")
     return table
 
 

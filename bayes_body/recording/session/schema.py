@@ -172,7 +172,7 @@ class SegmentationTable(Schema):
     learning_frames: Annotated[Count, Field(le=MOST_LEARNING_FRAMES)] = 200
     shadows: Annotated[bool, Field(strict=True)] = True
     follow_exposure: Annotated[bool, Field(strict=True)] = True
-    figures: Literal["all", "largest"] = "all"
+    figures: Literal["all", "near_body"] = "all"
 
 
 class SessionFile(Schema):

@@ -120,14 +120,15 @@ class Segmentation:
         learning_frames: number of evenly spaced frames from which the background is learned.
         shadows: whether darker pixels with the background's colour count as background.
         follow_exposure: whether the image's brightness is first matched to the background's.
-        figures: which figures of a silhouette can be the subject's, masks included. With "largest", each image's others count as not seen.
+        figures: which figures of a silhouette can be the subject's, masks included. With "near_body", large ones away from
+            where the body was in the frame before count as not seen.
     """
 
     threshold: float = 16.0
     learning_frames: int = 200
     shadows: bool = True
     follow_exposure: bool = True
-    figures: Literal["all", "largest"] = "all"
+    figures: Literal["all", "near_body"] = "all"
 
 
 # For one camera: keypoint name -> (column, row, confidence); pixels, confidence between 0 and 1.

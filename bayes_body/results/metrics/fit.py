@@ -28,7 +28,7 @@ from bayes_body.model.body.solids import Body, facing_discs, part_transforms, wi
 from bayes_body.model.build import Model
 from bayes_body.model.unknowns.apply import Unknowns, with_changes
 from bayes_body.recording.observation.covered import uncovered
-from bayes_body.recording.observation.frames import Frame, bystanders_at, cameras_with_picture, covered_of, read_frame
+from bayes_body.recording.observation.frames import Frame, bystanders_at, cameras_with_picture, covered_of, near_bodies, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Keypoints, Session
 from bayes_body.results.posterior import markers, mean_pose
@@ -85,6 +85,18 @@ def seen_in(model: Model, session: Session, index: int) -> Model:
 def projected_masks(model: Model, pose: Float[np.ndarray, "*shape"], session: Session) -> list[Bool[np.ndarray, "row column"]]:
     """Return the silhouette of a posed body in each camera's image; moving cameras are where the model has them (`seen_in`)."""
     return [fill(polygons, view.camera.size_px) for polygons, view in zip(outlines(model, pose), session.views, strict=True)]
+
+
+def frame_near(model: Model, poses: Float[np.ndarray, "run *shape"], session: Session, frame: Frame) -> Frame:
+    """Return a frame without the figures that a body at any of these poses does not explain, if the session asks for that (`[segmentation] figures`).
+
+    Raises:
+        InputError: a silhouette cannot be computed.
+    """
+    if session.segmentation.figures != "near_body" or frame.masks is None:
+        return frame
+    by_run = [projected_masks(model, pose, session) for pose in poses]
+    return near_bodies(frame, [np.logical_or.reduce(views) for views in zip(*by_run, strict=True)])
 
 
 def fill(polygons: list[Outline], size_px: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
@@ -201,6 +213,7 @@ def frame_fit(
     distance, distance_px = _distances(model, poses, frame)
     if to_judge and np.isfinite(distance).any():
         frame = frame._replace(masks=None, foreground=None)
+    frame = frame_near(model, poses, session, frame)
     overlap, cover, area = (np.full(shape, np.nan) for _ in range(3))
     masks = [None] * shape[1] if frame.masks is None else [frame.masks[c] for c in range(shape[1])]
     covered = [None] * shape[1] if frame.masks is None else covered_of(frame)

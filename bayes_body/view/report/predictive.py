@@ -24,7 +24,7 @@ from bayes_body.model.likelihood.detections import Detections
 from bayes_body.model.likelihood.markers_gaussian import MarkersGaussian
 from bayes_body.model.unknowns.apply import Unknowns, node_of, with_changes
 from bayes_body.recording.observation.frames import Frame, read_frame
-from bayes_body.results.metrics.fit import seen_in
+from bayes_body.results.metrics.fit import frame_near, seen_in
 from bayes_body.results.posterior.blocks import pooled, pose_blocks, weights_of_runs
 from bayes_body.results.posterior.resampling import RESAMPLING_SEED, systematic_resampling
 from bayes_body.view.report.predicted_silhouettes import SilhouetteCheck, reads_silhouettes, silhouette_check
@@ -252,7 +252,9 @@ def moment(run: "SavedRun", index: int) -> Moment:
     else:
         chosen = systematic_resampling(np.random.default_rng([RESAMPLING_SEED, index]), weights, DRAWS)
         states = {name: v[chosen] for name, v in values.items()}
-    return Moment(model, read_frame(run.session, index), states, jax.random.fold_in(jax.random.key(RESAMPLING_SEED), index))
+    mean = configuration_space(model.body).mean(weights[None] / weights.sum(), values[model.body.variable][None])
+    frame = frame_near(model, np.asarray(mean), run.session, read_frame(run.session, index))
+    return Moment(model, frame, states, jax.random.fold_in(jax.random.key(RESAMPLING_SEED), index))
 
 
 def seen_keypoints(moment: Moment, likelihood: KeypointLikelihood) -> Float[np.ndarray, "camera marker 3"]:

@@ -11,8 +11,8 @@ from bayes_body.model.likelihood.silhouette_bernoulli import Options as GridOpti
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.evidence.regions import NEUTRAL
 from bayes_body.recording.evidence.silhouette_edges import BORDER, EDGES, SILHOUETTE, UNSEEN_SHARE
-from bayes_body.recording.observation.covered import ambiguous, covered_by, other_figures
-from bayes_body.recording.observation.frames import Frame, read_frame
+from bayes_body.recording.observation.covered import ambiguous, beside_body, covered_by
+from bayes_body.recording.observation.frames import Frame, near_bodies, read_frame
 from bayes_body.recording.readers.keypoints.candidates import Bystanders
 from bayes_body.recording.readers.keypoints.series import KeypointSeries, write_series
 from bayes_body.recording.session.read import load_session, save_session
@@ -49,14 +49,29 @@ def test_what_is_no_person_covers_nothing():
     assert covered_by([wild], SIZE)[85, 100] and not covered_by([person(scale=50.0)], SIZE).any()
 
 
-def test_figures_that_are_not_the_largest():
-    mask = np.zeros((120, 200), bool)
+def test_figures_that_a_body_does_not_explain():
+    mask, body = np.zeros((2, 120, 200), bool)
     mask[10:40, 10:30] = mask[41:100, 10:30] = True  # One figure with a gap at the waist.
-    assert other_figures(mask) is None and other_figures(np.zeros_like(mask)) is None
-    mask[10:95, 120:138] = True
-    others = other_figures(mask)
-    assert others[10:95, 120:138].all() and not others[:, :100].any()
-    # Keypoints that missed the head, and cover more than the person does.
+    body[12:98, 12:30] = True
+    assert beside_body(mask, body) is None
+    # An arm that the body has lost is far from it, and small.
+    mask[30:34, 30:90] = True
+    assert beside_body(mask, body) is None
+    # Somebody larger who stands apart; and one who touches the subject, whose near side may be either's.
+    mask[5:110, 120:150] = True
+    apart = beside_body(mask, body)
+    assert apart[5:110, 120:150].all() and not apart[:, :85].any()
+    mask[20:90, 30:60] = True
+    touching = beside_body(mask, body)
+    assert touching[20:90, 30:60].all() and not touching[:, :25].any()
+    # A body that has left the silhouette, or the image, says nothing.
+    assert beside_body(mask, np.roll(body, 85, axis=1)) is None and beside_body(mask, np.zeros_like(mask)) is None
+
+
+def test_keypoints_that_missed_a_part_of_a_person():
+    mask = np.zeros((120, 200), bool)
+    mask[10:100, 10:30] = mask[10:95, 120:138] = True
+    # They missed the head, and cover more than the person does.
     covered = np.zeros_like(mask)
     covered[12:118, 100:158] = True
     hidden = ambiguous(mask, covered)
@@ -171,7 +186,12 @@ def test_frames_of_a_recording_with_other_people(recording):
     assert second.covered[0] is second.covered[0]
     alone = replace(session, views=(replace(session.views[0], keypoints=None),))
     assert read_frame(alone, 0).covered is None
-    largest = replace(alone, segmentation=Segmentation(figures="largest"))
-    (hidden,) = read_frame(largest, 0).covered
+    near_body = replace(alone, segmentation=Segmentation(figures="near_body"))
+    frame, body = read_frame(near_body, 0), np.zeros_like(mask)
+    assert list(frame.covered) == [None]
+    body[: height // 2, : width // 8] = True
+    (hidden,) = near_bodies(frame, [body]).covered
     assert hidden[: height // 4, -width // 8 :].all() and not hidden[:, : width // 8].any()
-    assert load_session(save_session(largest)).segmentation.figures == "largest"
+    # What keypoints show is hidden too.
+    assert not (second.covered[0] & ~near_bodies(second, [body]).covered[0]).any()
+    assert load_session(save_session(near_body)).segmentation.figures == "near_body"
