@@ -16,7 +16,7 @@ from bayes_body.model.body.solids import part_transforms
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.session.read import load_session, save_session
-from bayes_body.recording.session.session import Subject
+from bayes_body.recording.session.session import Segmentation, Subject
 from bayes_body.results.metrics.fit import intersection_over_union, projected_masks
 
 # Fits and replications run for longer than they compile.
@@ -119,6 +119,10 @@ def test_trousers_are_found_where_they_are(scene, recording):
         assert thick[part] == pytest.approx(1, abs=0.12), part
     for part in ("l_foot", "r_foot", "l_hand", "r_hand"):
         assert thick[part] == pytest.approx(1, abs=1e-6), part
+    # Somebody as large touches the person in all views, and the body in its first pose tells whose a figure is.
+    crowd = recording([mask | np.roll(mask, np.ptp(np.flatnonzero(mask.any(axis=0))), axis=1) for mask in masks])
+    crowd = replace(crowd, segmentation=Segmentation(figures="near_body"))
+    assert trousers(ratios(fit_outline(usual, crowd), usual))
 
 
 @pytest.mark.long

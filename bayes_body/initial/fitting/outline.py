@@ -32,7 +32,7 @@ from bayes_body.model.body.solids import Body
 from bayes_body.model.build import Model
 from bayes_body.model.likelihood.outlines import outline_forms, signed_distance
 from bayes_body.recording.observation.covered import uncovered
-from bayes_body.recording.observation.frames import covered_of, read_frame
+from bayes_body.recording.observation.frames import covered_of, near_bodies, read_frame
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.session.session import Session
 
@@ -47,6 +47,8 @@ STEPS = 100
 RATE = 0.05
 # With less overlap than this, the pose does not match the silhouettes, and no thickness helps.
 LEAST_OVERLAP = 0.4
+# The side of the squares of pixels in which the first body is drawn, to tell figures of other people from it.
+SQUARE_PX = 4
 WHERE = "session.toml: initial.fit_outline"
 
 
@@ -80,7 +82,7 @@ def fit_outline(model: Model, session: Session) -> Outline:
         InputError: the session has no silhouettes, or no camera shows one in the first frame.
     """
     placed = model.at(cameras_at(session, 0)) if session.moves else model
-    cameras, silhouettes = _silhouettes(session)
+    cameras, silhouettes = _silhouettes(placed, session)
     rig = jax.tree.map(lambda leaf: np.asarray(leaf)[np.array(cameras)], placed.rig)
     groups = np.asarray(_groups(model.body), model.body.lengths.dtype)
     logs, start_overlap, overlap = _fit(model.body.by_angles, rig, model.first_pose, groups, silhouettes)
@@ -91,9 +93,11 @@ def fit_outline(model: Model, session: Session) -> Outline:
     return Outline({name: (float(base), float(tip)) for name, (base, tip) in zip(names, radii, strict=True)}, float(start_overlap), float(overlap))
 
 
-def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
+def _silhouettes(placed: Model, session: Session) -> tuple[list[int], Silhouettes]:
     """Return the numbers of the cameras that show the person in the first frame, and their silhouettes."""
     frame = read_frame(session, 0)
+    if session.segmentation.figures == "near_body" and frame.masks is not None:
+        frame = near_bodies(frame, _first_bodies(placed, session))
     masks = frame.masks
     if masks is None:
         problem, remedy = "true, in a session without silhouettes", "set it to false, or give each [[camera]] its `masks` or a `background`"
@@ -107,6 +111,25 @@ def _silhouettes(session: Session) -> tuple[list[int], Silhouettes]:
     grids = [_grid(mask, covered_of(frame)[c]) for c, mask in silhouettes.items()]
     arrays = [device_array(np.stack(arrays)) for arrays in zip(*grids, strict=True)]
     return list(silhouettes), Silhouettes(*(arrays if frame.covered is not None else arrays[:3]))
+
+
+def _first_bodies(placed: Model, session: Session) -> list[np.ndarray]:
+    """Return where the body in its first pose covers each camera's image, (row, column)."""
+    masks = []
+    for camera, view in enumerate(session.views):
+        rig = jax.tree.map(lambda leaf, c=camera: np.asarray(leaf)[c : c + 1], placed.rig)
+        # From the image's middle to the middles of squares.
+        columns, rows = (np.arange(0, size, SQUARE_PX) + (SQUARE_PX - 1 - size) / 2 for size in view.camera.size_px)
+        inside = np.asarray(_distance(placed.body.by_angles, rig, placed.first_pose, columns, rows)) > 0
+        width, height = view.camera.size_px
+        masks.append(inside.repeat(SQUARE_PX, axis=0).repeat(SQUARE_PX, axis=1)[:height, :width])
+    return masks
+
+
+@partial(jax.jit, compiler_options=FAST_COMPILE)
+def _distance(body: Body, rig: Camera, pose: Pose, columns: Array, rows: Array) -> Array:
+    """Return how far the points of a grid are inside of the body's projection to the only camera of a rig, (row, column), pixels."""
+    return signed_distance(body.topology, outline_forms(body, rig, pose)[0], columns, rows)
 
 
 def _grid(mask: np.ndarray, covered: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
