@@ -68,9 +68,9 @@ class Options(Schema):
     `particles` is the number of draws of all `chains` together: every `thinning`-th state after `burn_in`. `step` is the paper's factor of the step
     size. `jitter` is the fraction by which a trajectory's number of steps varies. With a `target_acceptance`, burn-in tunes the step. With
     `mass = "adapted"`, burn-in estimates the mass matrix, beginning with that of the curvature, and all chains adapt together. The starts of the
-    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`) or by annealing. If the prior has potentials,
-    like the joints of a loose-limbed body, they are chosen among as many particles of `tempered`. `candidates` is the number of ancestors among which
-    a chain redraws its own, if a likelihood reads the previous frame.
+    chains are chosen among `starts` draws of the prediction, by weight (`starts_by = "importance"`), by annealing, or among as many particles of
+    `tempered` (`"tempering"`); always the last if the prior has potentials, like the joints of a loose-limbed body. `candidates` is the number of
+    ancestors among which a chain redraws its own, if a likelihood reads the previous frame.
     """
 
     particles: Count = 400
@@ -95,7 +95,8 @@ class Options(Schema):
     """mass matrix, from the curvature at the start: its diagonal (`"curvature"`), the whole matrix (`"curvature_matrix"`), its diagonal with the
     correlations of the previous frame (`"particles"`), or first the whole matrix and then a matrix learned in burn-in (`"adapted"`)."""
     starts_by: StartsBy = "importance"
-    """how the starts are chosen: by weight (`"importance"`), or by five layers of an annealed filter, which keeps more modes (`"annealing"`)."""
+    """how the starts are chosen: by weight (`"importance"`), by five layers of an annealed filter, which keeps more modes (`"annealing"`), or among
+    particles of `tempered`, which weights modes by their probability and estimates the evidence better (`"tempering"`)."""
     starts: Annotated[int, Field(strict=True, ge=0)] = 100
     """[draws] from the prediction; the chains' starts are chosen among them; at least as many as chains."""
     prediction: Literal["particles", "gaussian"] = "particles"
@@ -238,8 +239,8 @@ class _Filter:
         return Particles(states, jnp.full((count,), -jnp.log(count), ess.dtype)), info
 
     def _initialise(self, key: Key, target: Unconstrained, chains: int) -> Initialisation:
-        initialise = by_annealing if self.options.starts_by == "annealing" else by_importance
-        initialise = by_tempering if target.density.has_potentials else initialise
+        by = "tempering" if target.density.has_potentials else self.options.starts_by
+        initialise = {"importance": by_importance, "annealing": by_annealing, "tempering": by_tempering}[by]
         return initialise(key, target, max(self.options.starts, chains), chains, self.resample)
 
     def _schedule(self, length: int) -> Schedule:

@@ -23,7 +23,7 @@ from bayes_body.kernels.hmc.hamiltonian import WithAncestor
 from bayes_body.kernels.smc import annealed_filter, tempered_smc
 from bayes_body.kernels.weights import Resample, predict
 
-type StartsBy = Literal["importance", "annealing"]
+type StartsBy = Literal["importance", "annealing", "tempering"]
 
 
 class Start(NamedTuple):
@@ -91,7 +91,9 @@ def by_annealing(key: Key, target: Unconstrained, count: int, chains: int, resam
 
 
 def by_tempering(key: Key, target: Unconstrained, count: int, chains: int, resample: Resample) -> Initialisation:
-    """Choose starts among particles of tempered SMC, for a prior with potentials. Of independent draws, one would have all the weight.
+    """Choose starts among particles of tempered SMC, so that chains begin in modes about as often as the posterior is there.
+
+    With a prior with potentials there is no other way: of independent draws, one would have all the weight.
 
     Args:
         key: random key.

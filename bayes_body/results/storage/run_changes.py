@@ -63,6 +63,8 @@ DESCRIPTIONS = {f"{file}: {key}" for file in ("the model's file", "the body's fi
 GROWING = (f"{FILE_NAME}: frames", f"{FILE_NAME}: recorded")
 # In what the runs of one session differ that are put together as chains: their randomness, and how many filters each has.
 BY_CHAIN = ("--seed", "--runs", "smoothing.seed", "smoothing.folder", "smoothing.run", "smoothing.last")
+# What a session says of itself: no evidence depends on it. And what else makes two evidences those of different data, or of different arithmetic.
+UNREAD, OF_DATA = (f"{FILE_NAME}: title",), ("--first-frame", "the precision", "the version of bayes-body")
 # Digits of a run's id.
 DIGITS = 16
 
@@ -101,12 +103,41 @@ def refuse_strangers(folders: Sequence[Path], records: Sequence[Mapping[str, Map
     values = [{key: value for key, value in _comparable(record).items() if key not in BY_CHAIN} for record in records]
     expected, remedy = "the same session, model and options in all runs, only other seeds", "leave it out, or make it again like the first run"
     for folder, of_run in zip(folders[1:], values[1:], strict=True):
-        differences = [
-            f"{key.removeprefix(RECORDING)} is {_shown(of_run, key)}, and {_shown(values[0], key)} in the first run"
-            for key in _changed(values[0], of_run)
-        ]
+        differences = _differences(of_run, values[0])
         if differences:
             raise input_error(f"{folder}: does not belong to {folders[0]}", _listed(differences), expected, remedy)
+
+
+def refuse_other_data(folders: Sequence[Path], records: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
+    """Check that runs are of the same images and cameras, from the same frame on; models, kernels and seeds may differ.
+
+    Args:
+        folders: the folders of the runs.
+        records: their tables.
+
+    Raises:
+        InputError: a run is of other data; the sentence names the folder, the value there and that of the first run.
+    """
+    values = [{key: value for key, value in _comparable(record).items() if _is_of_data(key)} for record in records]
+    expected, remedy = "the same recording in all runs: evidence is that of its images", "leave one out, or track the other recording"
+    for folder, of_run in zip(folders[1:], values[1:], strict=True):
+        differences = _differences(of_run, values[0])
+        if differences:
+            raise input_error(f"{folder}: cannot be compared with {folders[0]}", _listed(differences), expected, remedy)
+
+
+def model_settings(record: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a text that is equal for runs that differ in their seeds, their number of filters and the number of stored draws only."""
+    values = {key: value for key, value in _comparable(record).items() if key not in (*BY_CHAIN, "--keep", *DESCRIPTIONS)}
+    return json.dumps({key: value for key, value in values.items() if not key.startswith("chains.")}, sort_keys=True, default=str)
+
+
+def _is_of_data(key: str) -> bool:
+    return key in OF_DATA or (key.startswith((f"{FILE_NAME}: ", RECORDING)) and key not in UNREAD)
+
+
+def _differences(of_run: Mapping[str, Any], first: Mapping[str, Any]) -> list[str]:
+    return [f"{key.removeprefix(RECORDING)} is {_shown(of_run, key)}, and {_shown(first, key)} in the first run" for key in _changed(first, of_run)]
 
 
 def _changed(stored_values: Mapping[str, Any], new_values: Mapping[str, Any]) -> list[str]:

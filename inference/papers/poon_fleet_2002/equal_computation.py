@@ -47,7 +47,7 @@ class Ratios(NamedTuple):
 
 
 class Equal(NamedTuple):
-    """Runs of hmc, and of sir at equal computation. What is equal is `evaluations` or `seconds`; each has runs and a number of particles."""
+    """Runs of hmc, and of sir at equal computation: at equal `evaluations`, and `seconds` if asked. Each has runs and a number of particles."""
 
     hmc: Runs
     sir: dict[str, Runs]
@@ -55,14 +55,14 @@ class Equal(NamedTuple):
     gradient_cost: float
 
 
-def mixture_after(key: Key, draws: Draws, components: int) -> Particles:
-    """Equally weighted particles of the first run's last frame: a prediction mixture (14) for both samplers.
+def mixture_after(key: Key, draws: Draws, components: int, frame: int = -1) -> Particles:
+    """Equally weighted particles of the first run's last frame, or of another one: a prediction mixture (14) for both samplers.
 
     Raises:
         InputError: the body is placed by its parts; means of joint angles are compared.
     """
     require(draws.model.body, POSE, "a comparison of mean joint angles", "a model of a body that is placed by angles")
-    last = draws.frames[-1]
+    last = draws.frames[frame]
     particles = Particles({name: jnp.asarray(values[0]) for name, values in last.states.items()}, jnp.asarray(last.log_weights[0]))
     chosen = resampler("systematic")(key, particles.log_weights, components)
     states = jax.tree.map(lambda leaf: leaf[chosen], dict(particles.states))
@@ -86,7 +86,9 @@ def run_many(key: Key, density: Density, sampler: Sampler, runs: int, watch: Wat
     return Runs(np.array(means, float), float(np.mean(evaluations)), (time.perf_counter() - start) / runs)
 
 
-def at_equal_computation(key: Key, density: Density, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False) -> Equal:
+def at_equal_computation(
+    key: Key, density: Density, options: Mapping[str, Any], draws: int, runs: int, bar: bool = False, cost: float | None = None
+) -> Equal:
     """Both samplers on one frame after one mixture; with `bar`, progress is shown on standard error.
 
     Args:
@@ -96,8 +98,10 @@ def at_equal_computation(key: Key, density: Density, options: Mapping[str, Any],
         draws: draws of a run of hmc.
         runs: number of runs of each sampler.
         bar: whether to show progress bars.
+        cost: of a gradient, in evaluations, if it has been measured; then nothing depends on a clock, and there are no runs at equal seconds.
     """
-    sampler, cost, keys = hmc_sampler(**options), gradient_cost(density), jax.random.split(key, 3)
+    sampler, keys = hmc_sampler(**options), jax.random.split(key, 3)
+    timed, cost = cost is None, gradient_cost(density) if cost is None else cost
 
     def sir(key: Key, particles: int) -> Runs:
         return run_many(key, density, sir_sampler(particles), runs, watched(f"runs of sir, {particles} particles", bar))
@@ -105,6 +109,8 @@ def at_equal_computation(key: Key, density: Density, options: Mapping[str, Any],
     hmc = run_many(keys[0], density, lambda key, density: sampler(key, density, draws), runs, watched("runs of hmc", bar))
     particles = {"evaluations": round(hmc.evaluations * cost)}
     sir_runs = {"evaluations": sir(keys[1], particles["evaluations"])}
+    if not timed:
+        return Equal(hmc, sir_runs, particles, cost)
     particles["seconds"] = max(round(particles["evaluations"] * hmc.seconds / sir_runs["evaluations"].seconds), 1)
     return Equal(hmc, sir_runs | {"seconds": sir(keys[2], particles["seconds"])}, particles, cost)
 
@@ -148,14 +154,14 @@ def ratios(over: Runs, under: Runs, truth: Truth, seed: int = 0) -> Ratios:
 
 
 def figures_of(names: Sequence[str], equal: Equal, truth: Truth) -> dict[str, Any]:
-    """Ratios and costs at equal evaluations, the same for `equal_seconds`, and the `settings` that they depend on, as plain numbers."""
-    by_evaluations, by_seconds = (_row(names, equal.sir[cost], equal.hmc, truth) for cost in ("evaluations", "seconds"))
+    """Ratios and costs at equal evaluations, the same for `equal_seconds` if there are such runs, and the `settings`, as plain numbers."""
+    rows = {cost: _row(names, runs, equal.hmc, truth) for cost, runs in equal.sir.items()}
     doubt = float(np.max(truth.error / np.mean((equal.hmc.means - truth.mean) ** 2, axis=0)))
     known = {"truth_by": truth.by, "truth_rhat": truth.rhat, "truth_effective": truth.effective, "truth_difference": doubt}
     known["truth_converged"] = truth.converged
     return {
-        **by_evaluations,
-        "equal_seconds": by_seconds,
+        **rows["evaluations"],
+        **({"equal_seconds": rows["seconds"]} if "seconds" in rows else {}),
         "settings": {"gradient_cost": equal.gradient_cost, "particles_sir": equal.particles, **known},
     }
 

@@ -1,7 +1,9 @@
-"""The true posterior mean of one frame, from two long independent runs that must agree: of a particle filter, or of many chains.
+"""The true posterior mean of one frame, from two long independent runs that must agree: of a particle filter, of many chains, or of tempered chains.
 
 Which one is better depends on the posterior. If it is hardly narrower than the prediction, millions of particles are worth hundreds of thousands of
-draws. If it is far narrower, they are worth a handful, and chains that mix find it (Poon & Fleet 2002 used 4 million particles).
+draws. If it is far narrower, they are worth a handful, and chains that mix find it (Poon & Fleet 2002 used 4 million particles). If it has modes
+between which no chain moves, chains of any length disagree. Then groups of chains begin among the particles of tempered runs, which enter the modes
+by their probability, and a group is weighted by its run's evidence.
 """
 
 from collections.abc import Callable
@@ -46,8 +48,9 @@ class Truth(NamedTuple):
         sd: standard deviation of each dof.
         error: squared difference of the two runs' means.
         effective: effective number of draws of each run.
-        by: `sir` or `hmc`.
-        rhat: largest split R-hat over the dofs and over the chains of both runs, even if sir was chosen; NaN if no chains ran.
+        by: `sir`, `hmc` or `tempering`.
+        rhat: largest split R-hat over the dofs and over the chains of both runs, even if sir was chosen; NaN if no chains ran. By tempering, it is
+            that of groups of chains (`group_rhat`).
     """
 
     mean: Float[np.ndarray, " dof"]
@@ -60,7 +63,7 @@ class Truth(NamedTuple):
     @property
     def converged(self) -> bool:
         """Whether the chains agree, if the truth is theirs."""
-        return self.by != "hmc" or self.rhat <= LARGEST_RHAT
+        return self.by == "sir" or self.rhat <= LARGEST_RHAT
 
 
 def sir_sampler(particles: int) -> Sampler:
@@ -122,6 +125,74 @@ def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32
     effective = min(float(np.min(effective_draws(jnp.asarray(half)))) for half in halves)
     rhat = float(np.nanmax(split_rhat(together[None])))
     return Truth(together.mean(axis=(0, 1)), together.std(axis=(0, 1)), (means[0] - means[1]) ** 2, effective, "hmc", rhat)
+
+
+class Groups(NamedTuple):
+    """The moments of groups of chains, each of which began among the particles of one tempered run."""
+
+    log_evidence: Float[np.ndarray, " group"]
+    means: Float[np.ndarray, "group dof"]
+    squares: Float[np.ndarray, "group dof"]
+
+    @property
+    def share(self) -> Float[np.ndarray, " group"]:
+        """The share of each group in the whole, by its evidence."""
+        share = np.exp(self.log_evidence - self.log_evidence.max())
+        return share / share.sum()
+
+    def pooled(self) -> tuple[Float[np.ndarray, " dof"], Float[np.ndarray, " dof"], Float[np.ndarray, " dof"]]:
+        """Return the mean and variance of all groups, weighted by evidence, and the variance of a group's mean about it."""
+        share, mean = self.share, self.share @ self.means
+        # Of independent groups with unequal weights, 1 - sum(share²) is the expected share of a group's variance about the weighted mean.
+        between = share @ (self.means - mean) ** 2 / max(1 - np.sum(share**2), np.finfo(float).eps)
+        return mean, share @ self.squares - mean**2, between
+
+    @property
+    def effective(self) -> float:
+        """Effective draws of all groups together: those of the dof about whose mean they agree least."""
+        _, variance, between = self.pooled()
+        return float(np.min(variance / between) / np.sum(self.share**2))
+
+
+def group_rhat(groups: Groups) -> float:
+    """Return the largest R-hat over the dofs of groups of chains (nested R-hat of Margossian et al. 2024).
+
+    The variance between groups is compared with that inside a group, which contains all chains of the group. A group is right if its chains are in
+    the modes with the right shares, even if no chain leaves its mode.
+    """
+    _, variance, between = groups.pooled()
+    return float(np.sqrt(1 + np.max(between / np.maximum(variance - between, np.finfo(float).tiny))))
+
+
+def true_mean_by_tempering(
+    key: Key, density: Density, draws: int, chains: int = 128, groups: int = 8, particles: int = 8192, watch: Watch = unwatched
+) -> Truth:
+    """Estimate the mean by groups of chains that begin among particles of tempered runs; each half of the groups is a run.
+
+    Args:
+        key: for all groups.
+        density: the frame's density.
+        draws: draws of each chain after its burn-in.
+        chains: chains of a group.
+        groups: number of groups, at least four.
+        particles: number of particles of a tempered run.
+        watch: wraps the iteration over groups, to show progress.
+    """
+    options = OPTIONS | {"starts_by": "tempering", "starts": particles, "burn_in": min(max(draws // 2, FEWEST), LONGEST_BURN_IN)}
+    sample = build_sampler(chains=chains, **options)
+
+    @jax.jit
+    def group(key: Key, density: Density) -> tuple[Array, Array, Array]:
+        drawn, info = sample(key, density, chains * draws)
+        pose = drawn.states["pose"]
+        return info.log_evidence, pose.mean(axis=0), (pose**2).mean(axis=0)
+
+    drawn = [jax.device_get(group(jax.random.fold_in(key, number), density)) for number in watch(range(groups))]
+    every = Groups(*(np.array(column, float) for column in zip(*drawn, strict=True)))
+    halves = [Groups(*(column[side::2] for column in every)) for side in range(2)]
+    (first, _, _), (second, _, _) = (half.pooled() for half in halves)
+    mean, variance, _ = every.pooled()
+    return Truth(mean, np.sqrt(variance), (first - second) ** 2, every.effective / 2, "tempering", group_rhat(every))
 
 
 def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False) -> Truth:

@@ -1,0 +1,1 @@
+"""Comparison of models and priors by the evidence of finished runs."""
