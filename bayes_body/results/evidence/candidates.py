@@ -2,7 +2,8 @@
 
 A likelihood is a function of the images and the body, known up to a constant that depends on its terms, on their options, and on the frames. So all
 runs must be of the same images, with the same likelihood terms and options. The body may differ only if all terms are distributions over data, which
-have no unknown constant: then a factor can simulate data. Priors may differ freely: motion, limits, constraints, unknowns.
+have no unknown constant: then a factor can simulate data. Even then it must have the same markers, because keypoints without a marker are no data.
+Priors may differ freely: motion, limits, constraints, unknowns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -153,11 +154,16 @@ def _differences(options: Mapping[str, Any], first: Mapping[str, Any]) -> str:
 
 
 def _check_body(run: SavedRun, subject: str, definition: Definition, first: Definition) -> None:
-    """Check that the likelihood's constant does not depend on the body.
+    """Check that the likelihood's data and its constant do not depend on the body.
 
     Raises:
-        InputError: it may.
+        InputError: they may.
     """
+    markers, first_markers = set(definition.body.markers), set(first.body.markers)
+    if markers != first_markers:
+        names = ", ".join(sorted(markers ^ first_markers))
+        problem = f"the bodies {definition.body_name} and {first.body_name} do not have the same markers ({names})"
+        raise input_error(subject, problem, "bodies that read the same keypoints", "take one body in both models")
     unnormalised = [factor.name for factor in run.model.factors if factor.side == "likelihood" and factor.simulate is None]
     if unnormalised:
         problem = f"the body is {definition.body_name}, and {first.body_name} in the first run, and '{unnormalised[0]}' is no distribution over data"
