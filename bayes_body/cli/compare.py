@@ -1,5 +1,6 @@
 """`bayes-body compare`: models and priors by their evidence."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from bayes_body.cli.terminal import say, show
 
 if TYPE_CHECKING:
     from bayes_body.results.evidence.comparison import Comparison
+    from bayes_body.runs.window_comparison import WindowComparison
 
 # What --out gets; the picture with the suffix of its format.
 JSON, PICTURE = "comparison.json", "comparison.png"
@@ -24,7 +26,10 @@ def compare(
     frames: int | None = typer.Option(None, "--frames", help="With a session: number of frames; all by default."),
     kernel: str | None = typer.Option(None, "--kernel", help="With a session: a kernel for all models; by default each model's own."),
     particles: int | None = typer.Option(None, "--particles", help="With a session: particles of a run; by default each model's own."),
-    seed: int = typer.Option(0, "--seed", help="With a session: seed of the first run; the next ones count on from it."),
+    seed: int = typer.Option(0, "--seed", help="With a session: seed of the first run; the next ones count on from it. Also of --window."),
+    window: str | None = typer.Option(
+        None, "--window", metavar="FIRST-LAST", help="Also estimate these frames' evidence by NUTS and bridge sampling: where runs disagree."
+    ),
     out: Path | None = typer.Option(None, "--out", help=f"Folder for {JSON} and {PICTURE}; with a session also for its runs, and then needed."),
     plugin: Plugins = None,
 ) -> None:
@@ -42,7 +47,7 @@ def compare(
     else:
         _check_runs(paths, tracking)
     with own_terms(plugin):
-        _report(folders, out)
+        _report(folders, out, None if window is None else _frames_of(window), seed)
 
 
 def _check_runs(paths: list[Path], tracking: dict[str, Any]) -> None:
@@ -89,22 +94,44 @@ def _tracked(paths: list[Path], models: list[str], out: Path | None, options: di
     return [unit.folder for unit in units_of(described, out.resolve()) if not unit.is_closing]
 
 
-def _report(folders: list[Path], out: Path | None) -> None:
+def _frames_of(text: str) -> tuple[int, int]:
+    """Return the first and the last frame of a window.
+
+    Raises:
+        InputError: the text is none.
+    """
+    match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", text)
+    if match is None:
+        raise input_error("--window", text, "its first and its last frame", "write it like 12-19")
+    return int(match[1]), int(match[2])
+
+
+def _report(folders: list[Path], out: Path | None, window: tuple[int, int] | None, seed: int) -> None:
     """Print the comparison, and write it if there is a folder for it."""
     import json
 
     from bayes_body.base.files.atomic import make_folder, write_text
+    from bayes_body.base.progress import watched
     from bayes_body.results.evidence.candidates import candidates_of
     from bayes_body.results.evidence.comparison import compare, figures, remarks, verdict
     from bayes_body.view.evidence import write_comparison
 
-    comparison = compare(*candidates_of(folders))
+    candidates, recording = candidates_of(folders)
+    comparison = compare(candidates, recording)
     _show(comparison)
     say(verdict(comparison))
     for remark in remarks(comparison):
         say(f"note: {remark}")
+    document = figures(comparison)
+    if window is not None:
+        from bayes_body.runs.window_comparison import compare_on_window, window_figures, window_verdict
+
+        on_window = compare_on_window(candidates, recording, *window, seed, watched("windows"))
+        _show_window(on_window)
+        say(window_verdict(on_window))
+        document["window"] = window_figures(on_window)
     if out is not None:
-        write_text(make_folder(out) / JSON, json.dumps(figures(comparison), indent=2) + "\n")
+        write_text(make_folder(out) / JSON, json.dumps(document, indent=2) + "\n")
         write_comparison(comparison, out / PICTURE)
         say(f"{out}: {JSON}, {PICTURE}")
 
@@ -119,6 +146,19 @@ def _show(comparison: "Comparison") -> None:
         value, error = evidence.value[-1], evidence.error[-1]
         cells = [f"{evidence.runs}", _with_error(value, error), _cell(evidence.sd[-1]), _cell(value / comparison.frames, 2)]
         table.add_row(candidate.name, candidate.kernel, *cells, _with_error(lead.value[-1], lead.error[-1]) if place else "-")
+    show(table)
+
+
+def _show_window(comparison: "WindowComparison") -> None:
+    from rich.table import Table
+
+    table = Table("model", box=None, pad_edge=False)
+    for heading in ("filters, nats", "by bridge sampling", "R-hat", "divergences"):
+        table.add_column(heading, justify="right")
+    for row in comparison.rows:
+        filters = _with_error(row.filters.value[-1], row.filters.error[-1])
+        table.add_row(row.name, filters, _with_error(row.value, row.error), _cell(row.r_hat, 3), f"{row.divergent}")
+    say()
     show(table)
 
 

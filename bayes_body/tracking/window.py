@@ -23,6 +23,7 @@ from bayes_body.density.trajectory import trajectory
 from bayes_body.kernels.batching import everywhere
 from bayes_body.kernels.paths.smoother import build_smoother
 from bayes_body.kernels.paths.window import WindowDraws, sample_window
+from bayes_body.kernels.paths.window_evidence import WindowEvidence, window_evidence
 from bayes_body.kernels.smc.moves import check_gradients
 from bayes_body.model.build import Model
 from bayes_body.recording.session.session import Session
@@ -41,6 +42,7 @@ class WindowPosterior(NamedTuple):
         frames: the numbers of the frames in the recording.
         draws: the trajectories and the figures of the chains.
         paths: whole states of the smoother's paths (path, frame, ...), all runs together.
+        evidence: the log-evidence of the window given the images before it, up to the likelihood's constant, and that of potentials.
         seconds: wall-clock seconds of the smoother and of the chains, compilation included.
     """
 
@@ -48,6 +50,7 @@ class WindowPosterior(NamedTuple):
     frames: range
     draws: WindowDraws
     paths: State
+    evidence: WindowEvidence
     seconds: tuple[float, float]
 
 
@@ -95,8 +98,9 @@ def window_posterior(
     first = jax.tree.map(lambda leaf: leaf[0], path_states)
     target = trajectory(stacked(densities), particles, first, gaussian=prior_key if prior == "gaussian" else None)
     draws = jax.block_until_ready(sample_window(run_key, target, path_states, None, **options))
+    evidence = window_evidence(jax.random.fold_in(key, 1), target, draws)
     numbers = range(session.frame_number(frames.start), session.frame_number(frames.stop))
-    return WindowPosterior(model, numbers, draws, path_states, (ready - started, time.perf_counter() - ready))
+    return WindowPosterior(model, numbers, draws, path_states, evidence, (ready - started, time.perf_counter() - ready))
 
 
 def _pooled_particles(filtered: Frames, frame: int) -> Particles:

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import tomlkit
 from sealed import seal
 
 from bayes_body.cli.main import main
+from bayes_body.runs import window_comparison
 
 FRAMES = 6
 
@@ -125,6 +127,45 @@ def test_another_motion_or_limit_is_a_prior(runs, capsys):
     slower = runs("slower", -2.0, 0.1, changes=[("definition", "text", "[dynamics.sd_deg]", '[dynamics.sd_m]\n"none_*" = 1.0\n[dynamics.sd_deg]')])
     status, out, _ = _compared(capsys, runs("first", 0.0, 0.1), slower)
     assert status == 0 and "`first` is preferred to `slower`" in out
+
+
+def test_a_window_says_what_its_chains_say(runs, capsys, tmp_path, monkeypatch):
+    """The chains themselves are tested in closed_forms/test_window_evidence.py, and all together in programs/test_window.py."""
+    sampled = {}
+
+    def window_of_run(folder, frames, first, seed, **options):
+        value, error, r_hat = sampled[folder.name]
+        draws = SimpleNamespace(r_hat=np.array([1.0, r_hat]), divergent=np.array([[False, False]]))
+        return SimpleNamespace(evidence=(value, error), draws=draws)
+
+    monkeypatch.setattr(window_comparison, "window_of_run", window_of_run)
+    monkeypatch.setattr(window_comparison, "check_constraints", lambda folders: None)
+    rough, again, sharp = runs("rough", -3.0, 5.0), runs("again", seed=1, changes=[("run", "model", None, "rough")]), runs("sharp", 0.0, 0.2)
+    command = [rough, again, sharp, "--window", "2-4", "--out", tmp_path / "out"]
+    sampled |= {"rough": (-8.0, 0.1, 1.0), "again": (-7.0, 0.1, 1.0), "sharp": (-2.0, 0.1, 1.0)}
+    status, out, _ = _compared(capsys, *command)
+    # The two folders of a model differ by more than their errors: their spread is the error.
+    assert status == 0 and "In frames 2-4, by bridge sampling, `sharp` is preferred to `rough` by 5.4 ± 0.5 nats, given the images before." in out
+    found = json.loads((tmp_path / "out" / "comparison.json").read_text())["window"]
+    assert found["preferred"] == "sharp" and found["models"][1]["log_evidence"] == pytest.approx(np.log(np.mean(np.exp([-8.0, -7.0]))))
+    assert found["models"][0]["filters"] == pytest.approx(0, abs=0.1) and found["models"][0]["filters_sd"] == pytest.approx(0.1)
+    for change, sentence in (
+        ((-2.0, 0.1, 1.2), "there is no verdict: the chains of `sharp` (R-hat 1.20, limit 1.01) do not agree"),
+        ((-7.0, 0.1, 1.0), "do not tell `sharp` from `rough`: they differ by 0.4 ± 0.5 nats"),
+        ((float("nan"), float("nan"), 1.0), "no normal distribution reaches the draws of `sharp`"),
+    ):
+        sampled["sharp"] = change
+        assert sentence in _compared(capsys, *command)[1]
+    for window, sentence in (("0-3", "expected ascending frames from 1 to 5"), ("4-9", "from 1 to 5"), ("3", "--window: 3; expected its first")):
+        status, _, err = _compared(capsys, rough, sharp, "--window", window)
+        assert status == 2 and sentence in err
+
+
+def test_a_window_counts_constraints_as_seen(runs, capsys):
+    person = {"model": "silhouettes", "pose": np.zeros((4, 30, FRAMES, 31))}
+    first, other = runs("first", **person), runs("other", changes=[("definition", "text", "yield_m = 0.03", "yield_m = 0.02")], **person)
+    status, _, err = _compared(capsys, first, other, "--window", "2-4")
+    assert status == 2 and "constraint #1: yield_m is 0.02, and 0.03 in the first run" in err
 
 
 def test_arguments_that_make_no_comparison_are_sentences(runs, capsys, tmp_path):

@@ -1,6 +1,7 @@
 """inference/window.py on the run of a filter: an arm that swings, its markers seen by two cameras."""
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import xarray as xr
 
 import bayes_body as bb
+from bayes_body.cli.main import main
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition
 from bayes_body.recording.evidence.markers import MARKERS
@@ -58,7 +60,7 @@ def test_error_bars_of_a_window(run, filtered, tmp_path):
     assert (done.status, done.err) == (0, "")
     assert re.search(r"^elbow +-\d+\.\d ± \d+\.\d +-\d+\.\d ± \d+\.\d +deg$", done.out, re.MULTILINE)
     chains = r"R-hat: \d\.\d{3} for the worst coordinate; the chains", r"effective draws: \d+ .*, of 200", r"divergences: (none|\d of 200)"
-    for part in (*chains, "smoother's means lie"):
+    for part in (*chains, "smoother's means lie", r"log-evidence of the window given the frames before it: -\d+\.\d\d ± 0\.\d\d nats"):
         assert re.search(part, done.out), part
     with xr.open_datatree(tmp_path / "posterior.nc") as tree:
         pose = tree["posterior"]["pose"]
@@ -67,6 +69,28 @@ def test_error_bars_of_a_window(run, filtered, tmp_path):
         assert tree["smoothed"]["pose"].sizes["path"] == 80
         # The truth is not far from a posterior of half a degree to some degrees.
         assert (np.abs(pose.mean(("chain", "draw")) - POSES[3:]) < 5 * pose.std(("chain", "draw")) + 0.02).all()
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_models_are_compared_on_a_window(filtered, tmp_path, capsys):
+    """The bridge and the filters estimate the same evidence: this model has no constraints, and its particles are many for four dofs."""
+    slow = tmp_path / "slow.toml"
+    text = load_definition("arm_markers").text
+    slow.write_text(text.replace("3.0", "0.6").replace("4.0", "0.8"))
+    assert slow.read_text() != text
+    track_run(Settings(filtered / "session", tmp_path / "slow", str(slow), "sir", {"particles": 500}, runs=2), quiet, bar=False)
+    with pytest.raises(SystemExit) as stopped:
+        main(["compare", str(filtered / "run"), str(tmp_path / "slow"), "--window", "2-4", "--out", str(tmp_path / "out")])
+    out = capsys.readouterr().out
+    assert stopped.value.code == 0
+    found = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert found["preferred"] == found["window"]["preferred"] == "arm_markers", out
+    for row in found["window"]["models"]:
+        assert row["rhat_max"] < 1.02 and row["log_evidence_error"] < 0.3
+        # Two runs know their spread badly, and the prior of the window is one Gaussian.
+        assert abs(row["log_evidence"] - row["filters"]) < 4 * np.hypot(row["log_evidence_error"], row["filters_sd"]) + 1
+    assert "In frames 2-4, by bridge sampling, `arm_markers` is preferred to `slow` by" in out
 
 
 @pytest.mark.long

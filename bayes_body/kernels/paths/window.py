@@ -122,6 +122,7 @@ class WindowDraws(NamedTuple):
 
     Attributes:
         states: whole states (chain, draw, frame, ...).
+        coordinates: the unconstrained coordinates of the same.
         r_hat: rank-normalised split R-hat of each unconstrained coordinate.
         effective: bulk effective sample size of each coordinate, for all chains together.
         divergent: whether each trajectory after warm-up diverged.
@@ -133,6 +134,7 @@ class WindowDraws(NamedTuple):
     """
 
     states: State
+    coordinates: Float[Array, "chain draw frame dof"]
     r_hat: Float[Array, "frame dof"]
     effective: Float[Array, "frame dof"]
     divergent: Bool[Array, "chain draw"]
@@ -193,7 +195,7 @@ def _sampled(key: Key, target: Trajectory, starts: State, whitening: Whitening, 
     states, coordinates = jax.tree.map(lambda leaf: leaf.reshape(*chains.draws.shape[:2], *leaf.shape[1:]), completed)
     r_hat, effective = chain_diagnostics(coordinates)
     by_draw = chains.divergent, chains.steps, chains.acceptance, chains.log_density
-    return WindowDraws(states, r_hat, effective, *by_draw, chains.step_size, jnp.sum(chains.warm_up_steps))
+    return WindowDraws(states, coordinates, r_hat, effective, *by_draw, chains.step_size, jnp.sum(chains.warm_up_steps))
 
 
 def _log_density(shared: tuple[Trajectory, Whitening, State], white: Float[Array, " entry"]) -> Scalar:

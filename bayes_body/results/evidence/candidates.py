@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_body.base.errors import input_error
-from bayes_body.model.definition import Definition, parse_definition
+from bayes_body.model.definition import Definition, TermDefinition, parse_definition
 from bayes_body.results.posterior.mixing_sentences import frame_ranges, frames_where
 from bayes_body.results.storage.run_changes import NAMED, check_plugins, model_settings, refuse_other_data
 from bayes_body.results.storage.run_file import read_record
@@ -82,6 +82,27 @@ def candidates_of(folders: Sequence[Path]) -> tuple[list[Candidate], Recording]:
         return _with_names(candidates), Recording(runs[0].session.title, runs[0].first_frame, runs[0].fps)
 
 
+def check_constraints(folders: Sequence[Path]) -> None:
+    """Check that the evidence of a window means the same in all runs: it counts constraints as seen.
+
+    Raises:
+        InputError: the constraints differ, or a prior has potentials, whose constant is unknown.
+    """
+    first: Definition | None = None
+    for folder in folders:
+        with load_run(folder) as run:
+            definition = _definition(run)
+            potentials = [factor.name for factor in run.model.factors if factor.side == "prior"]
+            if potentials:
+                problem = f"its prior has the potential '{potentials[0]}', whose constant is unknown"
+                raise input_error(folder, problem, "a prior that is a distribution", "leave out --window")
+            first = definition if first is None else first
+            differences = _differences(_options("constraint", definition.constraints), _options("constraint", first.constraints))
+            if differences:
+                expected, remedy = "the same constraints in all runs: the window counts them as seen", "leave out --window"
+                raise input_error(f"{folder}: cannot be compared with {folders[0]}", differences, expected, remedy)
+
+
 def _log_evidence(run: SavedRun) -> Float[np.ndarray, "run frame"]:
     """Return the log-evidence of the frames of a run.
 
@@ -135,12 +156,18 @@ def _definition(run: SavedRun) -> Definition:
 
 def _likelihoods(definition: Definition) -> dict[str, Any]:
     """Return every option of the likelihood terms, with its default if the file does not give it, by names that a user knows."""
-    options: dict[str, Any] = {}
+    options = _options("likelihood", definition.likelihoods)
     for number, term in enumerate(definition.likelihoods, 1):
-        place = f"likelihood #{number}"
-        options[f"{place}: kind"] = term.kind
-        options |= {f"{place}: {name}": value for name, value in term.options.model_dump().items()}
-        options |= {f"{place}: observation.{name}": value for name, value in term.observation.model_dump().items()}
+        options |= {f"likelihood #{number}: observation.{name}": value for name, value in term.observation.model_dump().items()}
+    return options
+
+
+def _options(room: str, terms: Sequence[TermDefinition]) -> dict[str, Any]:
+    """Return the kind and all options of each term."""
+    options: dict[str, Any] = {}
+    for number, term in enumerate(terms, 1):
+        options[f"{room} #{number}: kind"] = term.kind
+        options |= {f"{room} #{number}: {name}": value for name, value in term.options.model_dump().items()}
     return options
 
 

@@ -24,7 +24,7 @@ def window_to_datatree(posterior: WindowPosterior) -> "xr.DataTree":
 
     Groups: `posterior` with the state's variables, such as `pose` (chain, draw, frame, dof), where `frame` is the number in the recording and the
     coordinate `unit` says radians or metres; `sample_stats` with `diverging`, `n_steps`, `acceptance_rate`, `lp` (chain, draw) and `step_size`
-    (chain); `smoothed` with the smoother's paths (path, frame, dof).
+    (chain); `smoothed` with the smoother's paths (path, frame, dof). The attributes `log_evidence` and `log_evidence_error` are in nats.
     """
     import xarray as xr
 
@@ -43,7 +43,8 @@ def window_to_datatree(posterior: WindowPosterior) -> "xr.DataTree":
             "smoothed": _states(posterior, posterior.paths, ("path",)),
         }
     )
-    tree.attrs.update(model=posterior.model.definition.name, kernel="nuts")
+    value, error = posterior.evidence
+    tree.attrs.update(model=posterior.model.definition.name, kernel="nuts", log_evidence=value, log_evidence_error=error)
     return tree
 
 
@@ -84,8 +85,16 @@ def window_sentences(posterior: WindowPosterior) -> list[str]:
         f"seconds: {sampler:.0f} for the chains, {smoother:.0f} for the smoother, compilation included.",
         f"the smoother's means lie within {difference:.2f} sd of the chains' means; the furthest is {name} in frame {frame}. "
         f"Sampling error of a difference: {error:.2f} sd or more.",
+        _evidence_sentence(posterior),
     ]
     return sentences
+
+
+def _evidence_sentence(posterior: WindowPosterior) -> str:
+    value, error = posterior.evidence
+    if not np.isfinite(value):
+        return "log-evidence: the draws are too few for bridge sampling, or no normal distribution reaches them."
+    return f"log-evidence of the window given the frames before it: {value:.2f} ± {error:.2f} nats, by bridge sampling."
 
 
 def _largest_difference(posterior: WindowPosterior) -> tuple[float, float, str, int]:
