@@ -77,6 +77,7 @@ VARIANTS = {
     "tuned": {"target_acceptance": 0.8},
     "adapted": {"mass": "adapted", "target_acceptance": 0.7},
     "annealed": {"starts_by": "annealing", "starts": 200},
+    "tempered": {"starts_by": "tempering", "starts": 200},
 }
 
 
@@ -155,7 +156,7 @@ def test_tuning_comes_near_the_asked_acceptance(target):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("posterior", "starts_by"), _on_both({name: name for name in ("importance", "annealing")}, "importance"), indirect=["posterior"]
+    ("posterior", "starts_by"), _on_both({name: name for name in ("importance", "annealing", "tempering")}, "importance"), indirect=["posterior"]
 )
 def test_evidence_is_estimated_by_the_starts(target, starts_by):
     _, info = _means(target.density, starts=20_000, starts_by=starts_by, burn_in=0, leapfrog_steps=1)

@@ -217,6 +217,43 @@ def test_estimator_variance_quick(run, one_camera, tmp_path):
     assert cv2.imread(str(tmp_path / "figures.png")).shape[1] > 500
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
+def test_ten_mixtures_quick(run, tmp_path):
+    program, out = PAPERS / "poon_fleet_2002" / "ten_mixtures.py", tmp_path / "ten.json"
+    arguments = (
+        "--quick",
+        "--runs",
+        2,
+        "--walks",
+        "cycle",
+        "--frames",
+        2,
+        "--out",
+        tmp_path / "walks",
+        "--json",
+        out,
+        "--plot",
+        tmp_path / "ten.png",
+    )
+    done = run(program, *arguments)
+    assert done.status == 0, done.err
+    (row,) = json.loads(out.read_text())["mixtures"]
+    low, high = row["ratio_interval"]
+    assert (row["walk"], row["frame"], len(row["per_dof"])) == ("cycle", 2, 14) and 0 < low <= row["ratio_median"] <= high
+    assert row["worst_ratio"] == min(ratio for ratio, *_ in row["per_dof"].values()) and "cycle   2" in done.out
+    assert cv2.imread(str(tmp_path / "ten.png")).shape[1] > 500
+    # Nothing is measured again.
+    before = out.read_bytes()
+    assert run(program, *arguments).status == 0 and out.read_bytes() == before
+
+
+def test_ten_mixtures_without_captured_walks_is_a_sentence(run, tmp_path, monkeypatch):
+    monkeypatch.delenv("BAYES_BODY_DATA", raising=False)
+    done = run(PAPERS / "poon_fleet_2002" / "ten_mixtures.py", "--walks", "38_01", "--out", tmp_path, "--json", tmp_path / "ten.json")
+    assert done.status == 2 and done.err.splitlines()[-1].startswith("--mocap: none given; expected a folder with captured walks")
+
+
 def test_estimator_variance_of_no_session_is_a_sentence(run, tmp_path):
     done = run(PAPERS / "poon_fleet_2002" / "estimator_variance.py", "--session", "nowhere", "--json", tmp_path / "figures.json")
     assert done.status == 2 and done.err.count("\n") == 1 and "nowhere" in done.err
