@@ -157,7 +157,7 @@ def _show_window(comparison: "WindowComparison") -> None:
         table.add_column(heading, justify="right")
     for row in comparison.rows:
         filters = _with_error(row.filters.value[-1], row.filters.error[-1])
-        table.add_row(row.name, filters, _with_error(row.value, row.error), _cell(row.r_hat, 3), f"{row.divergent}")
+        table.add_row(row.name, filters, _with_error(row.value, row.error, 2), _cell(row.r_hat, 3), f"{row.divergent}")
     say()
     show(table)
 
@@ -168,7 +168,7 @@ def _cell(value: float, digits: int = 1) -> str:
     return f"{value:,.{digits}f}" if np.isfinite(value) else "-" if np.isnan(value) else f"{value}"
 
 
-def _with_error(value: float, error: float) -> str:
+def _with_error(value: float, error: float, digits: int = 1) -> str:
     import numpy as np
 
-    return f"{_cell(value)} ± {_cell(error)}" if not np.isnan(error) else _cell(value)
+    return f"{_cell(value, digits)} ± {_cell(error, digits)}" if not np.isnan(error) else _cell(value, digits)

@@ -121,8 +121,8 @@ def window_verdict(comparison: WindowComparison) -> str:
         chains = " and ".join(f"`{row.name}` (R-hat {row.r_hat:.2f}, limit {AGREE})" for row in apart)
         return f"{place} there is no verdict: the chains of {chains} do not agree."
     if comparison.preferred:
-        return f"{place} `{best.name}` is preferred to `{second.name}` by {value:.1f} ± {error:.1f} nats, given the images before."
-    return f"{place} the images do not tell `{best.name}` from `{second.name}`: they differ by {value:.1f} ± {error:.1f} nats."
+        return f"{place} `{best.name}` is preferred to `{second.name}` by {value:.1f} ± {error:.2f} nats, given the images before."
+    return f"{place} the images do not tell `{best.name}` from `{second.name}`: they differ by {value:.1f} ± {error:.2f} nats."
 
 
 def window_figures(comparison: WindowComparison) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def test_runs_of_one_model_count_together(runs, capsys):
 def test_there_is_no_verdict_where_the_runs_disagree_or_are_alone(runs, capsys):
     rough, sharp = runs("rough", -3.0, 5.0), runs("sharp", 0.0, 0.2)
     _, out, _ = _compared(capsys, rough, sharp)
-    assert "There is no verdict: the runs of `rough` (sd 5.0 nats) disagree more than the models differ" in out
+    assert "There is no verdict: the runs of `rough` (sd 5.0 nats) disagree too much, or are too few, for a difference of" in out
     assert "the runs of `rough` disagree (sd 5.0 nats, limit 2), most in frame 0: about 7 times as many particles would do." in out
     # A difference that no disagreement of this size hides.
     _, out, _ = _compared(capsys, rough, runs("far", 800.0, 0.2))
@@ -145,13 +145,13 @@ def test_a_window_says_what_its_chains_say(runs, capsys, tmp_path, monkeypatch):
     sampled |= {"rough": (-8.0, 0.1, 1.0), "again": (-7.0, 0.1, 1.0), "sharp": (-2.0, 0.1, 1.0)}
     status, out, _ = _compared(capsys, *command)
     # The two folders of a model differ by more than their errors: their spread is the error.
-    assert status == 0 and "In frames 2-4, by bridge sampling, `sharp` is preferred to `rough` by 5.4 ± 0.5 nats, given the images before." in out
+    assert status == 0 and "In frames 2-4, by bridge sampling, `sharp` is preferred to `rough` by 5.4 ± 0.51 nats, given the images before." in out
     found = json.loads((tmp_path / "out" / "comparison.json").read_text())["window"]
     assert found["preferred"] == "sharp" and found["models"][1]["log_evidence"] == pytest.approx(np.log(np.mean(np.exp([-8.0, -7.0]))))
     assert found["models"][0]["filters"] == pytest.approx(0, abs=0.1) and found["models"][0]["filters_sd"] == pytest.approx(0.1)
     for change, sentence in (
         ((-2.0, 0.1, 1.2), "there is no verdict: the chains of `sharp` (R-hat 1.20, limit 1.01) do not agree"),
-        ((-7.0, 0.1, 1.0), "do not tell `sharp` from `rough`: they differ by 0.4 ± 0.5 nats"),
+        ((-7.0, 0.1, 1.0), "do not tell `sharp` from `rough`: they differ by 0.4 ± 0.51 nats"),
         ((float("nan"), float("nan"), 1.0), "no normal distribution reaches the draws of `sharp`"),
     ):
         sampled["sharp"] = change

@@ -75,22 +75,20 @@ def test_error_bars_of_a_window(run, filtered, tmp_path):
 @pytest.mark.usefixtures("optimised")
 def test_models_are_compared_on_a_window(filtered, tmp_path, capsys):
     """The bridge and the filters estimate the same evidence: this model has no constraints, and its particles are many for four dofs."""
-    slow = tmp_path / "slow.toml"
-    text = load_definition("arm_markers").text
-    slow.write_text(text.replace("3.0", "0.6").replace("4.0", "0.8"))
-    assert slow.read_text() != text
-    track_run(Settings(filtered / "session", tmp_path / "slow", str(slow), "sir", {"particles": 500}, runs=2), quiet, bar=False)
+    wide, text = tmp_path / "wide.toml", load_definition("arm_markers").text
+    wide.write_text(text.replace("= 3.0", "= 9.0").replace("= 4.0", "= 12.0"))
+    for name, model in (("narrow", "arm_markers"), ("wide", str(wide))):
+        track_run(Settings(filtered / "session", tmp_path / name, model, "sir", {"particles": 20_000}, runs=3), quiet, bar=False)
     with pytest.raises(SystemExit) as stopped:
-        main(["compare", str(filtered / "run"), str(tmp_path / "slow"), "--window", "2-4", "--out", str(tmp_path / "out")])
+        main(["compare", str(tmp_path / "narrow"), str(tmp_path / "wide"), "--window", "2-4", "--out", str(tmp_path / "out")])
     out = capsys.readouterr().out
     assert stopped.value.code == 0
-    found = json.loads((tmp_path / "out" / "comparison.json").read_text())
-    assert found["preferred"] == found["window"]["preferred"] == "arm_markers", out
-    for row in found["window"]["models"]:
+    window = json.loads((tmp_path / "out" / "comparison.json").read_text())["window"]
+    for row in window["models"]:
         assert row["rhat_max"] < 1.02 and row["log_evidence_error"] < 0.3
-        # Two runs know their spread badly, and the prior of the window is one Gaussian.
-        assert abs(row["log_evidence"] - row["filters"]) < 4 * np.hypot(row["log_evidence_error"], row["filters_sd"]) + 1
-    assert "In frames 2-4, by bridge sampling, `arm_markers` is preferred to `slow` by" in out
+        # Three runs know their spread badly, and the prior of the window is one Gaussian.
+        assert abs(row["log_evidence"] - row["filters"]) < 4 * np.hypot(row["log_evidence_error"], row["filters_sd"]) + 1, out
+    assert "In frames 2-4, by bridge sampling, " in out and len(window["models"]) == 2
 
 
 @pytest.mark.long

@@ -75,7 +75,9 @@ def verdict(comparison: Comparison) -> str:
     doubtful = _disagreeing(comparison, 2)
     if doubtful and low <= 0:
         sds = " and ".join(f"`{comparison.candidates[k].name}` ({_spread(comparison.estimates[k].sd[-1])})" for k in doubtful)
-        return f"There is no verdict: the runs of {sds} disagree more than the models differ, {_nats(value)} nats {over}, {interval}."
+        return (
+            f"There is no verdict: the runs of {sds} disagree too much, or are too few, for a difference of {_nats(value)} nats {over} ({interval})."
+        )
     return f"The images do not tell `{best.name}` from `{second.name}`: they differ by {_nats(value)} ± {_nats(error)} nats {over} ({interval})."
 
 

@@ -20,12 +20,11 @@ import jax
 from equal_computation import at_equal_computation, figures_of, mixture_after
 from five_walks import WALKS, Walk, chosen, filmed
 from ten_plot import draw_mixtures
-from true_mean import LARGEST_DIFFERENCE, LARGEST_RHAT, Truth, best_truth, better_of, true_mean_by_tempering
+from true_mean import LARGEST_DIFFERENCE, LARGEST_RHAT, Truth, best_truth, true_mean_by_tempering
 
 import bayes_body as bb
 from bayes_body.base.errors import InputError, input_error
 from bayes_body.base.files.atomic import replacing
-from bayes_body.base.progress import watched
 from bayes_body.base.shapes import Key
 from bayes_body.density.density import Density
 
@@ -83,7 +82,7 @@ def _mocap() -> Path | None:
 
 
 def main() -> None:
-    arguments, bar = parse(), sys.stderr.isatty()
+    arguments = parse()
     bb.configure()
     sizes = QUICK if arguments.quick else FULL
     sizes = sizes._replace(runs=arguments.runs or sizes.runs)
@@ -92,7 +91,7 @@ def main() -> None:
     done = {(row["walk"], row["frame"]) for row in rows}
     for walk in chosen(arguments.walks):
         frames = [frame for frame in arguments.frames if (walk.name, frame) not in done]
-        for row in measured(walk, frames, arguments, sizes, bar) if frames else ():
+        for row in measured(walk, frames, arguments, sizes) if frames else ():
             rows.append(row)
             save(arguments, settings, rows)
     print(table(rows))
@@ -119,7 +118,7 @@ def finished(path: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def measured(walk: Walk, frames: Sequence[int], arguments: argparse.Namespace, sizes: Sizes, bar: bool) -> Iterator[dict[str, Any]]:
+def measured(walk: Walk, frames: Sequence[int], arguments: argparse.Namespace, sizes: Sizes) -> Iterator[dict[str, Any]]:
     """Yield the rows of a walk's mixtures. It is tracked once, up to the last of the frames.
 
     Raises:
@@ -136,26 +135,26 @@ def measured(walk: Walk, frames: Sequence[int], arguments: argparse.Namespace, s
         keys = jax.random.split(jax.random.fold_in(key, frame), 3)
         mixture = mixture_after(keys[0], before, arguments.components, frame - 1)
         density = model.density(model.observe(bb.read_frame(session, frame)), mixture)
-        equal = at_equal_computation(keys[1], density, options, options["particles"], sizes.runs, bar, arguments.gradient_cost)
-        truth, figures = _known_truth(keys[2], density, sizes, bar, partial(figures_of, model.body.dof_names, equal))
+        equal = at_equal_computation(keys[1], density, options, options["particles"], sizes.runs, True, arguments.gradient_cost)
+        truth, figures = _known_truth(keys[2], density, sizes, partial(figures_of, model.body.dof_names, equal))
         yield row_of(walk, frame, figures) | {"truth_sd": truth.sd.tolist()}
 
 
-def _known_truth(key: Key, density: Density, sizes: Sizes, bar: bool, judge: Callable[[Truth], dict[str, Any]]) -> tuple[Truth, dict[str, Any]]:
+def _known_truth(key: Key, density: Density, sizes: Sizes, judge: Callable[[Truth], dict[str, Any]]) -> tuple[Truth, dict[str, Any]]:
     """Return the truth by particles or by long chains, or by tempered chains if that truth has not converged; and the figures with it."""
     keys = jax.random.split(key)
-    truth = best_truth(keys[0], density, sizes.truth, sizes.long, bar)
+    truth = best_truth(keys[0], density, sizes.truth, sizes.long, True)
     figures = judge(truth)
-    if known(figures["settings"]):
+    if is_truth_known(figures["settings"]):
         return truth, figures
     tempered = true_mean_by_tempering(
-        keys[1], density, sizes.draws, sizes.chains, sizes.groups, sizes.particles, watched("groups of tempered chains", bar)
+        keys[1], density, sizes.draws, sizes.chains, sizes.groups, sizes.particles, bb.watched("groups of tempered chains")
     )
-    best = tempered if tempered.converged else better_of(truth, tempered)
+    best = tempered if tempered.converged else max(truth, tempered, key=lambda estimate: estimate.effective)
     return best, judge(best) | {"first_truth": figures["settings"]}
 
 
-def known(settings: Mapping[str, Any]) -> bool:
+def is_truth_known(settings: Mapping[str, Any]) -> bool:
     """Whether the true mean is known well enough: its chains agree, and its two runs differ by little beside the errors."""
     return settings["truth_converged"] and settings["truth_difference"] <= LARGEST_DIFFERENCE
 
@@ -173,7 +172,7 @@ def row_of(walk: Walk, frame: int, figures: Mapping[str, Any]) -> dict[str, Any]
         "worst_dof": worst,
         "worst_ratio": ratio,
         "worst_interval": [low, high],
-        "truth_known": known(figures["settings"]),
+        "truth_known": is_truth_known(figures["settings"]),
         **figures,
     }
 
