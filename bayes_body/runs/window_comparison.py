@@ -65,7 +65,7 @@ class WindowComparison(NamedTuple):
 
 
 def compare_on_window(
-    candidates: Sequence[Candidate], recording: Recording, first: int, last: int, seed: int = 0, watch: Watch = unwatched, **options: int
+    candidates: Sequence[Candidate], recording: Recording, first: int, last: int, seed: int = 0, watch: Watch = unwatched
 ) -> WindowComparison:
     """Return the models on some frames.
 
@@ -76,7 +76,6 @@ def compare_on_window(
         last: number of its last one.
         seed: of the smoother, the chains and the bridge.
         watch: wraps the runs to show progress.
-        options: those of `window_of_run`, in place of DRAWS.
 
     Raises:
         InputError: there are no such frames, the evidence of a window does not mean the same in all runs, or one cannot be sampled.
@@ -90,9 +89,9 @@ def compare_on_window(
     sampled: dict[str, list[tuple[float, float, float, int]]] = {}
     for number in watch(range(len(work))):
         candidate, folder = work[number]
-        window = window_of_run(folder, last - first + 1, first, seed, **DRAWS | options)
-        chains = float(np.max(window.draws.r_hat)), int(np.sum(window.draws.divergent))
-        sampled.setdefault(candidate.name, []).append((*window.evidence, *chains))
+        window = window_of_run(folder, last - first + 1, first, seed, "gaussian", **DRAWS)
+        (value, error), draws = window.evidence, window.draws
+        sampled.setdefault(candidate.name, []).append((value, error, float(np.max(draws.r_hat)), int(np.sum(draws.divergent))))
     place = slice(first - recording.first_frame, last - recording.first_frame + 1)
     rows = [_row(candidate.name, estimate(candidate.log_evidence[:, place]), sampled[candidate.name]) for candidate in candidates]
     return WindowComparison(first, last, tuple(sorted(rows, key=lambda row: -row.value)))
@@ -114,11 +113,11 @@ def window_verdict(comparison: WindowComparison) -> str:
     (best, second), (value, error) = comparison.rows[:2], comparison.lead
     frames = f"frames {comparison.first}-{comparison.last}" if comparison.first < comparison.last else f"frame {comparison.first}"
     place = f"In {frames}, by bridge sampling,"
-    apart = [row for row in (best, second) if row.r_hat > AGREE]
+    disagreeing = [row for row in (best, second) if row.r_hat > AGREE]
     if not np.isfinite(value):
         return f"{place} there is no verdict: no normal distribution reaches the draws of `{second.name}`."
-    if apart:
-        chains = " and ".join(f"`{row.name}` (R-hat {row.r_hat:.2f}, limit {AGREE})" for row in apart)
+    if disagreeing:
+        chains = " and ".join(f"`{row.name}` (R-hat {row.r_hat:.2f}, limit {AGREE})" for row in disagreeing)
         return f"{place} there is no verdict: the chains of {chains} do not agree."
     if comparison.preferred:
         return f"{place} `{best.name}` is preferred to `{second.name}` by {value:.1f} ± {error:.2f} nats, given the images before."

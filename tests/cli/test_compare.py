@@ -133,7 +133,7 @@ def test_a_window_says_what_its_chains_say(runs, capsys, tmp_path, monkeypatch):
     """The chains themselves are tested in closed_forms/test_window_evidence.py, and all together in programs/test_window.py."""
     sampled = {}
 
-    def window_of_run(folder, frames, first, seed, **options):
+    def window_of_run(folder, frames, first, seed, prior, **options):
         value, error, r_hat = sampled[folder.name]
         draws = SimpleNamespace(r_hat=np.array([1.0, r_hat]), divergent=np.array([[False, False]]))
         return SimpleNamespace(evidence=(value, error), draws=draws)

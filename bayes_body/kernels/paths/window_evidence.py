@@ -73,17 +73,20 @@ def bridged(at_draws: Float[np.ndarray, "chain draw"], at_normal: Float[np.ndarr
     posterior, normal = np.asarray(at_draws, float) - shift, np.where(np.isnan(at_normal), -np.inf, at_normal) - shift
     share = posterior.size / (posterior.size + normal.size)
     log_shares, value = np.log([share, 1 - share]), 0.0
-    for _ in range(LARGEST):
-        # Logarithms of h q and of h g, up to the same factor.
+
+    def terms(value: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the logarithms of h q and of h g, up to the same factor."""
         above = -np.logaddexp(log_shares[0] - value, log_shares[1] - normal)
-        below = -np.logaddexp(log_shares[0] + posterior - value, log_shares[1])
-        moved = _log_mean(above) - _log_mean(below)
-        value, step = moved, abs(moved - value)
+        return above, -np.logaddexp(log_shares[0] + posterior - value, log_shares[1])
+
+    for _ in range(LARGEST):
+        above, below = terms(value)
+        value, step = (moved := _log_mean(above) - _log_mean(below)), abs(moved - value)
         if step < SMALLEST or not np.isfinite(value):
             break
     if not np.isfinite(value):
         return WindowEvidence(-np.inf, np.inf)
-    first, second = (np.exp(logs - logs.max()) for logs in (above, below))
+    first, second = (np.exp(logs - logs.max()) for logs in terms(value))
     effective = float(chain_diagnostics(jnp.asarray(second[..., None]))[1][0])
     squares = first.var(ddof=1) / first.mean() ** 2 / first.size
     squares += second.var(ddof=1) / second.mean() ** 2 / (min(effective, second.size) if np.isfinite(effective) else 1.0)

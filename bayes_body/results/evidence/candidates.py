@@ -75,10 +75,10 @@ def candidates_of(folders: Sequence[Path]) -> tuple[list[Candidate], Recording]:
         candidates = []
         for members in groups.values():
             _check_seeds([runs[k] for k in members])
-            first, together = runs[members[0]], np.concatenate([evidences[k] for k in members])
+            first, log_evidence = runs[members[0]], np.concatenate([evidences[k] for k in members])
             model, kernel = Path(str(first.settings["model"])).stem, str(first.kernel["kind"])
             prediction = str(first.kernel.get("prediction", ""))
-            candidates.append(Candidate(model, model, tuple(folders[k] for k in members), kernel, prediction, together))
+            candidates.append(Candidate(model, model, tuple(folders[k] for k in members), kernel, prediction, log_evidence))
         return _with_names(candidates), Recording(runs[0].session.title, runs[0].first_frame, runs[0].fps)
 
 
@@ -114,9 +114,9 @@ def _log_evidence(run: SavedRun) -> Float[np.ndarray, "run frame"]:
         problem = f"the kernel '{run.kernel['kind']}' seeks modes and estimates no evidence"
         raise input_error(run.folder, problem, "runs that sample the posterior", remedy)
     values = np.asarray(run.tree["filter"]["log_evidence"], float)
-    unknown = np.isnan(values).any(axis=0)
-    if unknown.any():
-        problem = f"no evidence in {frames_where(unknown, run.first_frame)}"
+    missing = np.isnan(values).any(axis=0)
+    if missing.any():
+        problem = f"no evidence in {frames_where(missing, run.first_frame)}"
         raise input_error(run.folder, problem, "an evidence of every frame", remedy)
     restarted = run.summary.get("frames_restarted") or []
     if restarted:

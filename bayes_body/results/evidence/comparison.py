@@ -52,8 +52,8 @@ def compare(candidates: Sequence[Candidate], recording: Recording) -> Comparison
     estimates = [estimate(candidate.log_evidence) for candidate in candidates]
     order = sorted(range(len(candidates)), key=lambda k: -estimates[k].value[-1])
     best = estimates[order[0]]
-    nothing = np.zeros_like(best.value)
-    differences = [Difference(*(nothing,) * 4), *(difference(estimates[k], best) for k in order[1:])]
+    zero = np.zeros_like(best.value)
+    differences = [Difference(*(zero,) * 4), *(difference(estimates[k], best) for k in order[1:])]
     return Comparison(tuple(candidates[k] for k in order), tuple(estimates[k] for k in order), tuple(differences), recording)
 
 
@@ -67,8 +67,8 @@ def verdict(comparison: Comparison) -> str:
         return f"There is no verdict: no run of `{second.name}` explains every frame, so nothing is known of its evidence."
     if np.isnan(error):
         singles = " and ".join(f"`{candidate.name}`" for candidate in (best, second) if len(candidate.log_evidence) < 2)
-        ahead = f"`{best.name}` is ahead of `{second.name}` by {value:.1f} nats {over}"
-        return f"There is no verdict: {ahead}, but the Monte Carlo error of one run of {singles} is unknown; track two or more runs of each model."
+        words = f"`{best.name}` is ahead of `{second.name}` by {value:.1f} nats {over}"
+        return f"There is no verdict: {words}, but the Monte Carlo error of one run of {singles} is unknown; track two or more runs of each model."
     interval = f"95 % from {_nats(low)} to {_nats(high)}"
     if comparison.preferred:
         return f"`{best.name}` is preferred to `{second.name}` by {_nats(value)} ± {_nats(error)} nats {over} ({interval})."

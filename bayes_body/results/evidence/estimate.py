@@ -48,8 +48,8 @@ def estimate(log_evidence: Float[np.ndarray, "run frame"]) -> Estimate:
     totals, runs = np.cumsum(np.asarray(log_evidence, float), axis=1), len(log_evidence)
     value = np.logaddexp.reduce(totals, axis=0) - np.log(runs)
     if runs < 2:
-        unknown = np.full(value.shape, np.nan)
-        return Estimate(value, unknown, unknown, runs)
+        missing = np.full(value.shape, np.nan)
+        return Estimate(value, missing, missing, runs)
     possible = np.isfinite(totals).all(axis=0)
     sd = np.where(possible, np.where(possible, totals, 0.0).std(axis=0, ddof=1), np.inf)
     return Estimate(value, np.sqrt(sd**2 / runs + sd**4 / (2 * (runs - 1))), sd, runs)
@@ -63,8 +63,8 @@ def difference(first: Estimate, second: Estimate) -> Difference:
     total = variances.sum(axis=0)
     if first.runs < 2 or second.runs < 2:
         value = first.value - second.value
-        unknown = np.full(value.shape, np.nan)
-        return Difference(value, unknown, unknown, unknown)
+        missing = np.full(value.shape, np.nan)
+        return Difference(value, missing, missing, missing)
     finite = np.isfinite(total)
     # Where no run has any evidence, nothing is known of the difference.
     value = np.where(np.isfinite(first.value) & np.isfinite(second.value), _finite(first.value) - _finite(second.value), np.nan)

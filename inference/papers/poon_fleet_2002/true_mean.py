@@ -151,7 +151,8 @@ class Groups(NamedTuple):
     def effective(self) -> float:
         """Effective draws of all groups together: those of the dof about whose mean they agree least."""
         _, variance, between = self.pooled()
-        return float(np.min(variance / between) / np.sum(self.share**2))
+        # A dof on which all groups agree is known exactly.
+        return float(1 / (np.max(between / variance) * np.sum(self.share**2)))
 
 
 def group_rhat(groups: Groups) -> float:
