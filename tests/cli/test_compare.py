@@ -82,6 +82,8 @@ def test_there_is_no_verdict_where_the_runs_disagree_or_are_alone(runs, capsys):
     assert "There is no verdict: the runs of `rough` (sd 5.0 nats) disagree too much, or are too few, for a difference of" in out
     assert "the runs of `rough` disagree (sd 5.0 nats, limit 2), most in frame 0: about 7 times as many particles would do." in out
     # A difference that no disagreement of this size hides.
+    _, out, _ = _compared(capsys, runs("wild", -90.0, 50.0), sharp)
+    assert "the runs of `wild` disagree (sd 50.0 nats, limit 2), most in frame 0: take another kernel, such as tempered." in out
     _, out, _ = _compared(capsys, rough, runs("far", 800.0, 0.2))
     assert "`far` is preferred to `rough`" in out and "note: the runs of `rough` disagree" in out
     _, out, _ = _compared(capsys, sharp, runs("alike", 0.3, 0.2))
@@ -113,6 +115,31 @@ REFUSED = {
     "a mode seeker": ({"log_evidence": np.full((4, FRAMES), np.nan)}, "the kernel 'sir' seeks modes and estimates no evidence"),
     "no evidence in a frame": ({"log_evidence": np.where(np.arange(FRAMES) == 2, np.nan, np.zeros((4, 1)))}, "no evidence in frame 2"),
 }
+
+
+def test_a_session_is_tracked_with_each_model_as_a_study(runs, capsys, tmp_path, monkeypatch):
+    """The engine of studies has its own tests; here it finds its runs made."""
+    out, studies = tmp_path / "out", []
+
+    def run_study(study, folder, show, bar):
+        studies.append(study)
+        for variant, total in (("arm", 0.0), ("mine", -30.0)):
+            for number in (1, 2):
+                made = runs(f"{variant}{number}", total + 0.1 * number, chains=1, seed=number, changes=[("run", "model", None, variant)])
+                made.rename((folder / "session").mkdir(parents=True, exist_ok=True) or folder / "session" / f"{variant}_run_{number}")
+        return True
+
+    monkeypatch.setattr("bayes_body.runs.study.study.run_study", run_study)
+    runs("first")
+    mine = tmp_path / "mine.toml"
+    status, text, _ = _compared(
+        capsys, tmp_path / "session", "--model", "arm", "--model", mine, "--runs", 2, "--frames", FRAMES, "--particles", 30, "--out", out
+    )
+    assert status == 0 and "`arm` is preferred to `mine` by 30 ± 0.1 nats over 6 frames" in text
+    (study,) = studies
+    assert [(variant.name, variant.model) for variant in study.variant] == [("arm", "arm"), ("mine", str(mine))]
+    assert (study.runs, study.frames, study.particles, study.steps, study.pictures) == (2, FRAMES, 30, [], False)
+    assert (out / "comparison.json").exists() and (out / "comparison.png").exists()
 
 
 @pytest.mark.parametrize("case", REFUSED)

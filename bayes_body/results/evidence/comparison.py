@@ -16,6 +16,8 @@ from bayes_body.results.posterior.diagnosis import Thresholds
 
 # Nats: a Bayes factor of e.
 LEAST = 1.0
+# So many times the particles are advice; beyond, the variance does not fall as for many particles.
+MOST = 50
 
 
 class Comparison(NamedTuple):
@@ -93,7 +95,8 @@ def remarks(comparison: Comparison) -> list[str]:
             )
             continue
         # The variance of the log-evidence falls with the number of particles.
-        more = f"about {np.ceil((sd / comparison.evidence_sd) ** 2):.0f} times as many particles would do"
+        factor = np.ceil((sd / comparison.evidence_sd) ** 2)
+        more = f"about {factor:.0f} times as many particles would do" if factor <= MOST else "take another kernel, such as tempered"
         limit = f"sd {sd:.1f} nats, limit {comparison.evidence_sd:g}"
         lines.append(f"the runs of `{candidate.name}` disagree ({limit}), most in {_worst_frame(comparison, k)}: {more}.")
     kernels = {candidate.kernel for candidate in comparison.candidates}
