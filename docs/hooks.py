@@ -1,4 +1,4 @@
-"""What the site takes from the tree: folders of the navigation as their pages, the sources of the models, formulas as MathML."""
+"""What the site takes from the tree: folders of the navigation, the sources of the models, the figures of the papers, formulas as MathML."""
 
 import html
 import re
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
+from paper_tables import with_paper_tables
 
 # What pymdownx.arithmatex (generic) leaves of a formula.
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
@@ -28,7 +29,9 @@ def on_config(config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """`models.md` ends with each definition's file, title and source."""
+    """`models.md` ends with each definition's file, title and source; a page of a paper shows the stored figures."""
+    if page.file.src_uri.startswith("papers/"):
+        return with_paper_tables(markdown, Path(config.docs_dir) / "papers" / "figures")
     if page.file.src_uri != "models.md":
         return markdown
     models = Path(config.config_file_path).parent / "models"

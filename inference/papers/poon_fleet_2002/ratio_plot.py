@@ -28,6 +28,20 @@ def draw_ratios(path: Path, figures: Mapping[str, Any]) -> None:
         figure.savefig(partial, format="png", dpi=120)
 
 
+def draw_along(path: Path, along: Mapping[str, Any]) -> None:
+    """Write a .png of the errors along the frames alone (Fig. 9).
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    _errors_by_frame(figure.subplots(), along)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=100)
+
+
 def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
     """Draw one row of points for each dof; the mark shows whether evaluations or seconds are equal, the colour the dof's side."""
     dofs = list(ratios["evaluations"])
