@@ -156,7 +156,7 @@ EXPERIMENTS = (
         ("variance_ratio", "truth", "more_computation"),
         variance,
         ONE_FRAME | {"draws": [500, 1000, 2000], "runs": 12, "truth": 400_000, "long": 2000},
-        {"frame": 2, "draws": [50, 100], "runs": 2, "truth": 50_000, "long": 40},
+        {"frame": 2, "draws": [50], "runs": 2, "truth": 1000, "long": 20},
     ),
     Experiment(("effective",), effective_particles, ONE_FRAME | {"particles": 20_000}, {"frame": 2, "particles": 2000}),
     Experiment(

@@ -11,7 +11,8 @@ import reproduce
 from paper_page import PAPERS, STORED, load_page, page_text
 from paper_tables import here, number, with_paper_tables
 
-PAPER_NAMES = ("poon_fleet_2002",)
+# The figures and tables that each paper has.
+CONTENTS = {"poon_fleet_2002": (9, 0), "sidenbladh_2000": (7, 0), "darby_2008": (3, 0), "sigal_2011": (16, 5)}
 TINY = """
 paper = "tiny"
 title = "Tiny"
@@ -31,7 +32,13 @@ reason = "A drawing."
 """
 
 
-@pytest.fixture(params=PAPER_NAMES)
+def labels_of(where: str) -> set[tuple[str, int]]:
+    """The figures and tables that a text names: `Table 3, Fig. 8 and 11`."""
+    groups = re.findall(r"(Fig|Table)[s.]* ((?:\d+(?:\([a-z]\))?(?:, | and )?)+)", where)
+    return {(kind, int(number)) for kind, numbers in groups for number in re.findall(r"\d+", numbers)}
+
+
+@pytest.fixture(params=CONTENTS)
 def paper(request) -> str:
     return request.param
 
@@ -44,7 +51,10 @@ def test_the_stored_page_has_the_claims_as_they_are(paper):
 def test_every_row_is_whole(paper):
     page = load_page(paper, STORED / f"{paper}.json")
     measured_here = {name for experiment in import_module(paper).EXPERIMENTS for name in experiment.rows}
-    assert len({row.name for row in page.rows}) == len(page.rows) > 10
+    assert len({row.name for row in page.rows}) == len(page.rows)
+    figures, tables = CONTENTS[paper]
+    labels = {label for row in page.rows for label in labels_of(row.where)}
+    assert labels == {("Fig", number) for number in range(1, figures + 1)} | {("Table", number) for number in range(1, tables + 1)}
     for row in page.rows:
         assert row.where and row.claim.endswith(".") and bool(row.reason) != bool(row.command), row.name
         assert (f"inference/papers/{paper}.py" in row.command) == (row.name in measured_here), row.name

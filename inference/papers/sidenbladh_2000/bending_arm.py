@@ -30,6 +30,7 @@ from bayes_body.model.definition import load_body, load_definition
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Session
 from bayes_body.results.posterior.moments import weighted_quantiles
+from bayes_body.tracking.draws import Draws
 from bayes_body.workshop.simulation.options import Options
 from bayes_body.workshop.simulation.person import build_person
 from bayes_body.workshop.simulation.session import simulate
@@ -190,9 +191,22 @@ def twist_interval(filmed: FilmedArm, particles: int, seed: int = 0, name: str =
     Raises:
         InputError: the definition cannot be used.
     """
+    return interval_of(filmed, track_arm(filmed, particles, seed, name))
+
+
+def track_arm(filmed: FilmedArm, particles: int, seed: int = 0, name: str = MODEL) -> Draws:
+    """Track the arm with the particle filter; the arguments are those of `twist_interval`.
+
+    Raises:
+        InputError: the definition cannot be used.
+    """
     model = model_of_arm(filmed, particles, seed, name)
-    draws = bb.track(jax.random.key(seed), filmed.session, model, bb.kernels.sir(), particles=particles)
-    twist = model.body.dof_names.index(TWIST)
+    return bb.track(jax.random.key(seed), filmed.session, model, bb.kernels.sir(), particles=particles)
+
+
+def interval_of(filmed: FilmedArm, draws: Draws) -> TwistInterval:
+    """Return what the draws of a tracked arm say of its twist."""
+    twist = draws.model.body.dof_names.index(TWIST)
     values = np.degrees([np.asarray(frame.states["pose"])[0, :, twist] for frame in draws.frames])
     weights = np.exp([np.asarray(frame.log_weights)[0] for frame in draws.frames])
     low, high = weighted_quantiles(values[:, :, None], weights, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))[:, :, 0]

@@ -1,0 +1,164 @@
+"""Measure what Sigal, Isard, Haussecker & Black 2011 report, for docs/papers/figures/sigal_2011.json.
+
+    python inference/papers/sigal_2011.py --all
+
+The experiments are functions of the programs in the folder `sigal_2011`; the claims are in its `claims.toml`.
+"""
+
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import bayes_body as bb
+from bayes_body.base.files.shipped import learned_file
+from bayes_body.model.build import Model
+from bayes_body.recording.session.session import Session
+from bayes_body.tracking.draws import Draws
+
+sys.path.append(str(Path(__file__).with_suffix("")))
+from convergence import changes_of, draw_convergence
+from error_plot import draw_errors
+from recover import darkened
+from reproduce import Case, Experiment, Values, reproduce
+from single_frames import SingleFrames, single_frames, track_figures
+
+RIG = "humaneva_7"
+# What finds people in single frames, and what tracks them; both by the number of parts.
+FINDS, TRACKS = {10: "sigal_2011_10", 15: "loose_limbed_15"}, {10: "loose_limbed_10", 15: "loose_limbed_15"}
+TREE = "sigal_2011_tree"
+
+
+def poses(case: Case, parts: int, cameras: int) -> SingleFrames:
+    """Find the person in single frames, without a first pose."""
+    session = bb.unposed(case.film(RIG, case.sizes["frames"], cameras))
+    return single_frames(bb.PersonSearch(session, FINDS[parts], int(case.seed or 0)), range(0, session.frames, case.sizes["every"]))
+
+
+def pose(case: Case, parts: int) -> Mapping[str, Values]:
+    """Single frames seen by seven cameras (Table 2, Fig. 11 and 12)."""
+    found_poses = poses(case, parts, 7)
+    figures = found_poses.figures()
+    if case.pictures is not None:
+        draw_errors(case.pictures / f"sigal_2011_pose_{parts}.png", found_poses.frames, found_poses.error_m)
+    rows: dict[str, Values] = {
+        f"pose_{parts}": {
+            "mean error": figures["mean_mm"],
+            "median error": figures["median_mm"],
+            "standard deviation of the error": figures["sd_mm"],
+            "frames below 80 mm": percent(figures["under_80"]),
+            "frames below 120 mm": percent(figures["under_120"]),
+        },
+        f"pose_{parts}_seconds": {"pose estimation": figures["seconds_per_frame"]},
+    }
+    if parts == 10:
+        rows["turned"] = {"turned round, each frame alone": percent(figures["flips_alone"]), "with its neighbours": percent(figures["flips"])}
+    return rows
+
+
+def percent(share: float | None) -> float | None:
+    """Return a share in percent; None stays."""
+    return None if share is None else 100 * share
+
+
+def views(case: Case) -> Mapping[str, Values]:
+    """Single frames seen by fewer cameras, ten parts."""
+    by_cameras = {cameras: poses(case, 10, cameras).figures() for cameras in (4, 3)}
+    medians = {f"median error, {cameras} cameras": figures["median_mm"] for cameras, figures in by_cameras.items()}
+    return {"views": medians | {"turned round, 3 cameras": percent(by_cameras[3]["flips"])}}
+
+
+def tracked(session: Session, model: Model, case: Case) -> Draws:
+    """Track a person by message passing, from wherever they are first detected."""
+    recovery, options = bb.PersonRecovery(session, model, int(case.seed or 0)), {"particles": case.sizes["particles"]}
+    return bb.track(jax.random.key(case.seed or 0), session, model, model.kernel("particle_bp"), recovery=recovery, **options)
+
+
+def track(case: Case, parts: int) -> Mapping[str, Values]:
+    """A track by message passing, without a first pose (Table 3, Fig. 13 and 14)."""
+    session = bb.unposed(case.film(RIG, case.sizes["frames"]))
+    figures, error = track_figures(session, tracked(session, bb.load_model(TRACKS[parts], session, lambda line: None), case))
+    if case.pictures is not None:
+        draw_errors(case.pictures / f"sigal_2011_track_{parts}.png", range(len(error)), error)
+    return {
+        f"track_{parts}": {"mean error": figures["mean_mm"], "standard deviation of the error": figures["sd_mm"]},
+        f"track_{parts}_seconds": {"tracking": figures["seconds_per_frame"]},
+    }
+
+
+def tree(case: Case) -> Mapping[str, Values]:
+    """The annealed particle filter on the equal tree of angles (Fig. 15), from a first pose that is placed by hand."""
+    session = case.film(RIG, case.sizes["frames"])
+    model = bb.load_model(TREE, session, lambda line: None)
+    figures, _ = track_figures(session, bb.track(jax.random.key(case.seed or 0), session, model, particles=case.sizes["particles"]))
+    return {"annealed": {"mean error": figures["mean_mm"], "standard deviation of the error": figures["sd_mm"]}}
+
+
+def convergence(case: Case) -> Mapping[str, Values]:
+    """How far beliefs move in each iteration (Fig. 8 and 11), tracking ten parts."""
+    session = case.film(RIG, case.sizes["frames"])
+    model = bb.load_model(TRACKS[10], session, lambda line: None)
+    kernel = model.kernel("particle_bp", iterations=case.sizes["iterations"])
+    changes = changes_of(bb.track(jax.random.key(case.seed or 0), session, model, kernel, particles=case.sizes["particles"]))
+    if case.pictures is not None:
+        draw_convergence(case.pictures / "sigal_2011_convergence.png", changes)
+    means = changes.mean(axis=(0, 2))
+    return {
+        "convergence": {f"change in iteration {iteration}": float(means[iteration - 2]) for iteration in (2, 5, 10) if iteration < len(means) + 2}
+    }
+
+
+def recovery(case: Case) -> Mapping[str, Values]:
+    """Some black frames in all cameras, with and without recovery."""
+    black, errors = range(*case.sizes["black"]), {}
+    with tempfile.TemporaryDirectory() as folder:
+        session = darkened(case.film(RIG, case.sizes["frames"], 4), Path(folder), black)
+        model, key = bb.load_model(TRACKS[10], session, lambda line: None), jax.random.key(case.seed or 0)
+        for name, restart in (("without", None), ("with", bb.PersonRecovery(session, model, int(case.seed or 0)))):
+            draws = bb.track(key, session, model, model.kernel("particle_bp"), particles=case.sizes["particles"], recovery=restart)
+            errors[name] = track_figures(session, draws)[1]
+    after = {f"error after the black frames, {name} recovery": 1000 * float(np.mean(error[black.stop :])) for name, error in errors.items()}
+    return {"recovery": after | {"error before them": 1000 * float(np.mean(errors["with"][: black.start]))}}
+
+
+def graphs(case: Case) -> Mapping[str, Values]:
+    """Nodes and edges of both graphs (Table 1, Fig. 1)."""
+    del case
+    figures: dict[str, float] = {}
+    for parts, name in FINDS.items():
+        definition = bb.load_definition(name)
+        options = {term.kind: term.options for term in definition.constraints}
+        joints = tomllib.loads(learned_file(options["kinematic"].learned).with_suffix(".toml").read_text(encoding="utf-8"))["parts"]
+        pairs = options["penetration"].pairs
+        penetration = definition.body.penetration if pairs is None else pairs
+        figures |= {f"nodes, {parts} parts": len(joints) + 1, f"kinematic edges, {parts} parts": len(joints)}
+        figures[f"penetration edges, {parts} parts"] = len(penetration)
+    return {"graphs": figures}
+
+
+def of_parts(measure: Callable[[Case, int], Mapping[str, Values]], parts: int) -> Callable[[Case], Mapping[str, Values]]:
+    """Return the experiment with a body of so many parts."""
+    return partial(measure, parts=parts)
+
+
+FRAMES, QUICK_FRAMES = {"frames": 25, "every": 8}, {"frames": 2, "every": 2}
+TRACK, QUICK_TRACK = {"frames": 12, "particles": 500}, {"frames": 2, "particles": 50}
+EXPERIMENTS = (
+    Experiment(("graphs",), graphs, facts=True),
+    Experiment(("pose_10", "pose_10_seconds", "turned"), of_parts(pose, 10), FRAMES, QUICK_FRAMES),
+    Experiment(("pose_15", "pose_15_seconds"), of_parts(pose, 15), FRAMES, QUICK_FRAMES),
+    Experiment(("track_10", "track_10_seconds"), of_parts(track, 10), TRACK, QUICK_TRACK),
+    Experiment(("track_15", "track_15_seconds"), of_parts(track, 15), TRACK, QUICK_TRACK),
+    Experiment(("annealed",), tree, TRACK, QUICK_TRACK),
+    Experiment(("convergence",), convergence, {"frames": 3, "iterations": 10, "particles": 500}, QUICK_TRACK | {"iterations": 3}),
+    Experiment(("views",), views, FRAMES, QUICK_FRAMES),
+    Experiment(("recovery",), recovery, {"frames": 25, "black": [10, 14], "particles": 500}, {"frames": 4, "black": [1, 2], "particles": 50}),
+)
+
+if __name__ == "__main__":
+    reproduce("sigal_2011", EXPERIMENTS)
