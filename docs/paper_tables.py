@@ -2,13 +2,13 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 # Where a page has its tables: `<!-- table: poon_fleet_2002 -->`, and `<!-- details: poon_fleet_2002 -->`.
 MARK = re.compile(r"^<!-- (table|details): (\w+) -->$", re.MULTILINE)
-HEAD = "| row | where | what the paper says | figure | paper | here | how this differs |\n|---|---|---|---|---|---|---|"
+HEADINGS = ("where", "what the paper says", "figure", "paper", "here")
 
 
 def with_paper_tables(markdown: str, folder: Path) -> str:
@@ -27,16 +27,26 @@ def with_paper_tables(markdown: str, folder: Path) -> str:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return one line for each figure of each row; the words of a row stand in its first line."""
-    lines = [HEAD]
+    """Return one line for each figure of each row, beside the words of the row."""
+    lines = [_line(_cell(heading, "th") for heading in HEADINGS)]
     for row in rows:
         figures = row["figures"] or [{}]
-        for number, figure in enumerate(figures):
-            words = (f"[`{row['name']}`](#{anchor(row)})", row["where"], row["claim"]) if number == 0 else ("", "", "")
-            remark = row["differs"] if number == 0 else ""
-            cells = (*words, figure.get("name", ""), with_unit(figure.get("paper", ""), figure), here(row, figure), remark)
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines)
+        differs = f" *Here:* {row['differs'] or row['reason']}" if row["differs"] or row["reason"] else ""
+        words = [_cell(text, rows=len(figures)) for text in (f"[{row['where']}](#{anchor(row)})", row["claim"] + differs)]
+        for figure in figures:
+            numbers = [figure.get("name", ""), with_unit(figure.get("paper", ""), figure), here(row, figure)]
+            lines.append(_line([*words, *map(_cell, numbers)]))
+            words = []
+    return "\n".join(['<table markdown="1">', *lines, "</table>"])
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f'<tr markdown="1">{"".join(cells)}</tr>'
+
+
+def _cell(text: str, tag: str = "td", rows: int = 1) -> str:
+    span = f' rowspan="{rows}"' if rows > 1 else ""
+    return f'<{tag} markdown="span"{span}>{text}</{tag}>'
 
 
 def here(row: Mapping[str, Any], figure: Mapping[str, Any]) -> str:
@@ -53,13 +63,11 @@ def here(row: Mapping[str, Any], figure: Mapping[str, Any]) -> str:
 
 def details(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return, for each row, its state, its command, its settings and its single values."""
-    return "\n\n".join(f"### {row['name']} {{ #{anchor(row)} }}\n\n" + "\n".join(_sentences(row)) for row in rows)
+    return "\n\n".join(f"### {row['where']}: {row['name']} {{ #{anchor(row)} }}\n\n" + "\n".join(_sentences(row)) for row in rows)
 
 
 def _sentences(row: Mapping[str, Any]) -> list[str]:
-    lines = [f"- {row['where']}: {row['status']}."]
-    if row["reason"]:
-        lines.append(f"- {row['reason']}")
+    lines = [f"- {row['status'].capitalize()}."]
     if row["command"]:
         lines.append(f"- `{row['command']}`")
     if row["earlier"]:

@@ -42,7 +42,7 @@ def followed(case: Case, cameras: int, names: tuple[str, ...], activity: str | N
     session = case.film("room_4", sizes["frames"], cameras)
     definitions = few_camera_definitions(cameras, activity, activity is not None, gamma)
     particles = {name: min(definitions[name].kernel.options.particles, sizes["particles"]) for name in names}
-    return {name: follow(session, definitions[name], sizes["runs"], int(case.seed or 0), None, particles[name]) for name in names}
+    return {name: follow(session, definitions[name], sizes["runs"], case.seed, None, particles[name]) for name in names}
 
 
 def mean_mm(track: Followed, field: str) -> float:

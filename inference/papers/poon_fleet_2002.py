@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import bayes_body as bb
@@ -76,8 +77,9 @@ def effective_particles(case: Case) -> Mapping[str, Values]:
     keys = jax.random.split(jax.random.key(case.seed))
     _, mixture, (density,) = compared_frames(case, keys[0], 1)
     count = case.sizes["particles"]
-    tiled = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), count // len(leaf), axis=0), dict(mixture.states))
-    many = Particles(tiled, np.full(count, -np.log(count), np.float32))
+    many = Particles(
+        jax.tree.map(lambda leaf: jnp.repeat(leaf, count // len(leaf), axis=0), dict(mixture.states)), jnp.full(count, -jnp.log(float(count)))
+    )
     info = jax.jit(bb.kernels.sir().function)(keys[1], many, density)[1]
     return {"effective": {"effective particles": float(info.ess), "share of the particles": float(info.ess) / count}}
 
@@ -124,7 +126,7 @@ def error_mm(session: Session, draws: Draws) -> float:
 def legs(case: Case) -> Mapping[str, Values]:
     """Legs of a walker seen from the side (Fig. 6), with the paper's settings."""
     session = case.film("side_1", case.sizes["frames"])
-    hmc, sir = tracks(session, "poon_fleet_2002_legs", case.sizes["particles"], int(case.seed or 0))
+    hmc, sir = tracks(session, "poon_fleet_2002_legs", case.sizes["particles"], case.seed)
     acceptance = float(np.mean([np.mean(frame.info.markov["acceptance"]) for frame in hmc.frames]))
     seconds = (hmc.timing.total - hmc.timing.compile) / len(hmc.frames)
     return {
@@ -137,7 +139,7 @@ def legs(case: Case) -> Mapping[str, Values]:
 def whole_body(case: Case) -> Mapping[str, Values]:
     """The whole body of a walker who comes nearer to one camera (Fig. 7), with the paper's settings."""
     session = case.film("room_4", case.sizes["frames"], cameras=1)
-    hmc, sir = tracks(session, "poon_fleet_2002", case.sizes["particles"], int(case.seed or 0))
+    hmc, sir = tracks(session, "poon_fleet_2002", case.sizes["particles"], case.seed)
     return {"whole_body": {"hmc": error_mm(session, hmc), "particle filter": error_mm(session, sir)}}
 
 

@@ -39,7 +39,7 @@ class Case(NamedTuple):
 
     Attributes:
         subject: a motion of the CMU database, such as `38_02`; None for facts that depend on nobody.
-        seed: of the person, the room and the sampler.
+        seed: of the person, the room and the sampler; 0 for facts.
         sizes: numbers of frames, particles and so on.
         motions: the folder of the database.
         work: a folder for films.
@@ -47,7 +47,7 @@ class Case(NamedTuple):
     """
 
     subject: str | None
-    seed: int | None
+    seed: int
     sizes: Mapping[str, Any]
     motions: Path | None
     work: Path
@@ -86,16 +86,16 @@ class Case(NamedTuple):
         Raises:
             InputError: the motion cannot be read.
         """
-        seed, described = int(self.seed or 0), read_rig(definitions_folder() / "rigs" / f"{rig}.toml")
+        described = read_rig(definitions_folder() / "rigs" / f"{rig}.toml")
         described = replace(described, fps=fps or described.fps)
-        folder = self.work / "films" / f"{self.subject}_{seed}_{rig}_{described.fps:g}_{frames}_{radius_m or 'straight'}"
+        folder = self.work / "films" / f"{self.subject}_{self.seed}_{rig}_{described.fps:g}_{frames}_{radius_m or 'straight'}"
         if not folder.exists():
             # Renamed when it is whole: a film that was interrupted is not taken for one.
             partial = folder.with_name(f"{folder.name}_partial_{os.getpid()}")
-            film(partial, described, frames, seed, self.motion, f"walk {self.subject}", radius_m=radius_m)
+            film(partial, described, frames, self.seed, self.motion, f"walk {self.subject}", radius_m=radius_m)
             partial.rename(folder)
         session = bb.load_session(folder)
-        return replace(session, views=session.views[:cameras], initial={}, initial_keypoints={}, initial_markers=placed_by_hand(session, seed))
+        return replace(session, views=session.views[:cameras], initial={}, initial_keypoints={}, initial_markers=placed_by_hand(session, self.seed))
 
 
 class Experiment(NamedTuple):
@@ -184,14 +184,14 @@ def measure(page: Page, experiments: Sequence[Experiment], arguments: argparse.N
     cases = [(experiment, *case) for experiment in experiments for case in experiment.cases(quick, arguments.subjects, arguments.seeds)]
     with steps_bar(len(cases), "the first case") as show:
         for done, (experiment, subject, seed) in enumerate(cases):
-            sizes = dict(experiment.sizes | experiment.quick if quick else experiment.sizes)
+            sizes = {**experiment.sizes, **(experiment.quick if quick else {})}
             rows = [page.row(name) for name in experiment.rows]
             show(done, f"{experiment.rows[0]}, {subject or 'a fact'}{'' if seed is None else f', seed {seed}'}")
             if not arguments.again and all(is_measured(row, sizes, subject, seed) for row in rows):
                 continue
             draws = experiment.facts or (subject, seed) == (arguments.subjects[0], arguments.seeds[0])
             pictures = arguments.json.parent if draws else None
-            values = experiment.measure(Case(subject, seed, sizes, arguments.motions, arguments.work, pictures))
+            values = experiment.measure(Case(subject, seed or 0, sizes, arguments.motions, arguments.work, pictures))
             for row in rows:
                 add_values(row, sizes, subject, seed, values[row.name])
                 row.versions = {name: version(name) for name in VERSIONS} | {"python": platform.python_version()}

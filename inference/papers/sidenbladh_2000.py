@@ -33,8 +33,8 @@ def arm(case: Case) -> Mapping[str, Values]:
     intervals = []
     for number, twist_deg in enumerate(case.sizes["twists_deg"]):
         with tempfile.TemporaryDirectory() as folder:
-            filmed = film_arm(Path(folder) / "film", twist_deg, int(case.seed or 0), case.motion)
-            draws = track_arm(filmed, case.sizes["particles"], int(case.seed or 0))
+            filmed = film_arm(Path(folder) / "film", twist_deg, case.seed, case.motion)
+            draws = track_arm(filmed, case.sizes["particles"], case.seed)
         intervals.append(interval_of(filmed, draws))
         if case.pictures is not None and number == 0:
             draw_shoulder(case.pictures / "sidenbladh_2000_arm.png", draws, filmed.angles)
@@ -51,7 +51,7 @@ def arm(case: Case) -> Mapping[str, Values]:
 def walk(case: Case, radius_m: float | None) -> tuple[dict[str, float], dict[str, Float[np.ndarray, " frame"]]]:
     """Track a walk by image motion, by the prior alone, and with silhouettes and edges; return figures, and the absolute errors, metres."""
     session = case.film("side_1", case.sizes["frames"], fps=FPS, radius_m=radius_m)
-    tracks = track_three_times(session, MODEL, case.sizes["particles"], int(case.seed or 0), radius_m is not None)
+    tracks = track_three_times(session, MODEL, case.sizes["particles"], case.seed, radius_m is not None)
     return motion_figures(session, tracks), {name: errors(session, draws)[0] for name, draws in tracks._asdict().items()}
 
 

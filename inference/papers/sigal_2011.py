@@ -8,8 +8,7 @@ The experiments are functions of the programs in the folder `sigal_2011`; the cl
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 
 import jax
@@ -37,7 +36,7 @@ TREE = "sigal_2011_tree"
 def poses(case: Case, parts: int, cameras: int) -> SingleFrames:
     """Find the person in single frames, without a first pose."""
     session = bb.unposed(case.film(RIG, case.sizes["frames"], cameras))
-    return single_frames(bb.PersonSearch(session, FINDS[parts], int(case.seed or 0)), range(0, session.frames, case.sizes["every"]))
+    return single_frames(bb.PersonSearch(session, FINDS[parts], case.seed), range(0, session.frames, case.sizes["every"]))
 
 
 def pose(case: Case, parts: int) -> Mapping[str, Values]:
@@ -75,8 +74,8 @@ def views(case: Case) -> Mapping[str, Values]:
 
 def tracked(session: Session, model: Model, case: Case) -> Draws:
     """Track a person by message passing, from wherever they are first detected."""
-    recovery, options = bb.PersonRecovery(session, model, int(case.seed or 0)), {"particles": case.sizes["particles"]}
-    return bb.track(jax.random.key(case.seed or 0), session, model, model.kernel("particle_bp"), recovery=recovery, **options)
+    recovery, options = bb.PersonRecovery(session, model, case.seed), {"particles": case.sizes["particles"]}
+    return bb.track(jax.random.key(case.seed), session, model, model.kernel("particle_bp"), recovery=recovery, **options)
 
 
 def track(case: Case, parts: int) -> Mapping[str, Values]:
@@ -95,7 +94,7 @@ def tree(case: Case) -> Mapping[str, Values]:
     """The annealed particle filter on the equal tree of angles (Fig. 15), from a first pose that is placed by hand."""
     session = case.film(RIG, case.sizes["frames"])
     model = bb.load_model(TREE, session, lambda line: None)
-    figures, _ = track_figures(session, bb.track(jax.random.key(case.seed or 0), session, model, particles=case.sizes["particles"]))
+    figures, _ = track_figures(session, bb.track(jax.random.key(case.seed), session, model, particles=case.sizes["particles"]))
     return {"annealed": {"mean error": figures["mean_mm"], "standard deviation of the error": figures["sd_mm"]}}
 
 
@@ -104,7 +103,7 @@ def convergence(case: Case) -> Mapping[str, Values]:
     session = case.film(RIG, case.sizes["frames"])
     model = bb.load_model(TRACKS[10], session, lambda line: None)
     kernel = model.kernel("particle_bp", iterations=case.sizes["iterations"])
-    changes = changes_of(bb.track(jax.random.key(case.seed or 0), session, model, kernel, particles=case.sizes["particles"]))
+    changes = changes_of(bb.track(jax.random.key(case.seed), session, model, kernel, particles=case.sizes["particles"]))
     if case.pictures is not None:
         draw_convergence(case.pictures / "sigal_2011_convergence.png", changes)
     means = changes.mean(axis=(0, 2))
@@ -118,8 +117,8 @@ def recovery(case: Case) -> Mapping[str, Values]:
     black, errors = range(*case.sizes["black"]), {}
     with tempfile.TemporaryDirectory() as folder:
         session = darkened(case.film(RIG, case.sizes["frames"], 4), Path(folder), black)
-        model, key = bb.load_model(TRACKS[10], session, lambda line: None), jax.random.key(case.seed or 0)
-        for name, restart in (("without", None), ("with", bb.PersonRecovery(session, model, int(case.seed or 0)))):
+        model, key = bb.load_model(TRACKS[10], session, lambda line: None), jax.random.key(case.seed)
+        for name, restart in (("without", None), ("with", bb.PersonRecovery(session, model, case.seed))):
             draws = bb.track(key, session, model, model.kernel("particle_bp"), particles=case.sizes["particles"], recovery=restart)
             errors[name] = track_figures(session, draws)[1]
     after = {f"error after the black frames, {name} recovery": 1000 * float(np.mean(error[black.stop :])) for name, error in errors.items()}
@@ -141,19 +140,14 @@ def graphs(case: Case) -> Mapping[str, Values]:
     return {"graphs": figures}
 
 
-def of_parts(measure: Callable[[Case, int], Mapping[str, Values]], parts: int) -> Callable[[Case], Mapping[str, Values]]:
-    """Return the experiment with a body of so many parts."""
-    return partial(measure, parts=parts)
-
-
 FRAMES, QUICK_FRAMES = {"frames": 25, "every": 8}, {"frames": 2, "every": 2}
 TRACK, QUICK_TRACK = {"frames": 12, "particles": 500}, {"frames": 2, "particles": 50}
 EXPERIMENTS = (
     Experiment(("graphs",), graphs, facts=True),
-    Experiment(("pose_10", "pose_10_seconds", "turned"), of_parts(pose, 10), FRAMES, QUICK_FRAMES),
-    Experiment(("pose_15", "pose_15_seconds"), of_parts(pose, 15), FRAMES, QUICK_FRAMES),
-    Experiment(("track_10", "track_10_seconds"), of_parts(track, 10), TRACK, QUICK_TRACK),
-    Experiment(("track_15", "track_15_seconds"), of_parts(track, 15), TRACK, QUICK_TRACK),
+    Experiment(("pose_10", "pose_10_seconds", "turned"), lambda case: pose(case, 10), FRAMES, QUICK_FRAMES),
+    Experiment(("pose_15", "pose_15_seconds"), lambda case: pose(case, 15), FRAMES, QUICK_FRAMES),
+    Experiment(("track_10", "track_10_seconds"), lambda case: track(case, 10), TRACK, QUICK_TRACK),
+    Experiment(("track_15", "track_15_seconds"), lambda case: track(case, 15), TRACK, QUICK_TRACK),
     Experiment(("annealed",), tree, TRACK, QUICK_TRACK),
     Experiment(("convergence",), convergence, {"frames": 3, "iterations": 10, "particles": 500}, QUICK_TRACK | {"iterations": 3}),
     Experiment(("views",), views, FRAMES, QUICK_FRAMES),

@@ -31,7 +31,7 @@ def draw_activity(path: Path, activity: Activity) -> None:
         axes.plot(*outline, color=GREY, linewidth=0.7)
     for source, target in np.argwhere(changes > LEAST):
         style = {"arrowstyle": "->", "color": INK, "linewidth": 2.5 * changes[source, target], "shrinkA": 3, "shrinkB": 3}
-        axes.annotate("", places[target], places[source], arrowprops=style)
+        axes.annotate("", tuple(places[target]), tuple(places[source]), arrowprops=style)
     axes.plot(*places.T, "o", color=INK, markersize=4)
     axes.set(xlabel="first feature, rad", ylabel="second feature, rad", aspect="equal")
     with replacing(path) as partial:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from bayes_body.base.files.atomic import replacing
@@ -23,11 +24,11 @@ def draw_densities(path: Path, options: Options) -> None:
 
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     amplitudes, phases = figure.subplots(1, 2)
-    phase = np.linspace(0, np.pi, 200)
+    phase = jnp.linspace(0, jnp.pi, 200)
     for number, scale in enumerate(options.scale):
         low, high = scale.log_amplitude
         statistics = EdgeStatistics(*map(np.asarray, (scale.epsilon, scale.amplitude, scale.log_amplitude, scale.log_occluded)))
-        rho = np.linspace(low, high, 200)
+        rho = jnp.linspace(low, high, 200)
         label = f"wavelength {scale.wavelength_px:g} px"
         density = np.exp(np.asarray(amplitude_log_density(share_of(rho, statistics), statistics)))
         amplitudes.plot(rho, density, color=INK, linestyle=run_line(number), label=label)

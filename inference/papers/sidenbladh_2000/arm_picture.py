@@ -30,14 +30,15 @@ def draw_shoulder(path: Path, draws: Draws, true_angles: Float[np.ndarray, "fram
     names, low, high = draws.model.body.dof_names, draws.model.body.skeleton.low, draws.model.body.skeleton.high
     shoulder = [dof for dof, name in enumerate(names) if name.startswith("shoulder")]
     figure = Figure(figsize=(10, 3.2), layout="constrained")
-    for axes, dof in zip(figure.subplots(1, len(shoulder)), shoulder, strict=True):
+    panels, pictures = figure.subplots(1, len(shoulder)), []
+    for axes, dof in zip(panels, shoulder, strict=True):
         edges = np.degrees(np.linspace(float(low[dof]), float(high[dof]), BINS + 1))
         counts = np.array([_histogram(frame, dof, edges) for frame in draws.frames]).T
         shown = np.log10(np.maximum(counts / counts.max(axis=0), LEAST))
-        picture = axes.pcolormesh(np.arange(len(draws.frames) + 1) - 0.5, edges, shown, cmap=SEQUENTIAL)
+        pictures.append(axes.pcolormesh(np.arange(len(draws.frames) + 1) - 0.5, edges, shown, cmap=SEQUENTIAL))
         axes.plot(np.degrees(true_angles[:, dof]), color=WARNING)
-        axes.set(title=names[dof], xlabel="frame", ylabel="degrees")
-    figure.colorbar(picture, label="log10 of the density,\nrelative to the frame's largest")
+        axes.set(title=names[dof], xlabel="frame", ylabel="angle, degrees")
+    figure.colorbar(pictures[-1], label="log10 of the density,\nrelative to the frame's largest")
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=100)
 

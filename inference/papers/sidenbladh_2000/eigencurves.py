@@ -25,10 +25,10 @@ def draw_eigencurves(path: Path, cycle: AngleCycle) -> None:
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     mean, modes = figure.subplots(1, 2)
     mean.plot(phases, np.degrees(series @ cycle.mean[:, dof]), color=SIDES["l"])
-    mean.set(title="mean of the left knee", xlabel="phase, cycles", ylabel="degrees")
+    mean.set(title="mean of the left knee", xlabel="phase, cycles", ylabel="angle, degrees")
     for number in range(SHOWN):
         modes.plot(phases, np.degrees(series @ cycle.modes[number, :, dof]), color=INK, linestyle=run_line(number), label=f"mode {number + 1}")
-    modes.set(title="its first modes, one standard deviation", xlabel="phase, cycles", ylabel="degrees")
+    modes.set(title="its first modes, one standard deviation", xlabel="phase, cycles", ylabel="angle, degrees")
     modes.legend(fontsize="small")
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=100)
