@@ -23,7 +23,7 @@ def draw_activity(path: Path, activity: Activity) -> None:
     places, transition = activity.locations[:, :2], activity.transition * (1 - np.eye(len(activity.transition)))
     # Given that the state changes: a walk stays in a state for several frames.
     changes = transition / np.maximum(transition.sum(axis=1, keepdims=True), 1e-12)
-    figure = Figure(figsize=(6, 5), layout="constrained")
+    figure = Figure(figsize=(7, 3.4), layout="constrained")
     axes = figure.subplots()
     circle = np.stack([function(np.linspace(0, 2 * np.pi, ELLIPSE_POINTS)) for function in (np.cos, np.sin)])
     for place, covariance in zip(places, activity.covariances[:, :2, :2], strict=True):
