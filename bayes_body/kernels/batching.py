@@ -147,10 +147,11 @@ def _pad(leaf: jax.Array, multiple: int) -> jax.Array:
 
 def _in_batches(vmapped: Callable[..., Any], batch: int) -> Callable[..., Any]:
     def run(particles: Any, shared: Any) -> Any:
-        batches = jax.tree.map(lambda leaf: leaf.reshape(-1, batch, *leaf.shape[1:]), particles)
+        # Written out: a length of -1 is not inferred for arrays without entries.
+        batches = jax.tree.map(lambda leaf: leaf.reshape(len(leaf) // batch, batch, *leaf.shape[1:]), particles)
         shared = jax.tree.map(lambda leaf: varying_like(leaf, particles) if _is_key(leaf) else leaf, shared)
         results = jax.lax.map(lambda part: vmapped(part, shared), batches)
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+        return jax.tree.map(lambda leaf: leaf.reshape(len(leaf) * batch, *leaf.shape[2:]), results)
 
     return run
 

@@ -11,8 +11,8 @@ from bayes_body.kernels.working_memory import work_bytes
 
 
 def _both(pair, shared):
-    x, y = pair
-    return {"sum": jnp.sum(x) * shared + y, "x": jnp.sin(x)}
+    x, y, *rest = pair
+    return {"sum": jnp.sum(x) * shared + y, "x": jnp.sin(x), "without entries": rest}
 
 
 @pytest.mark.parametrize("count", [1, 32, 33, 64, 100])
@@ -20,8 +20,10 @@ def _both(pair, shared):
 def test_it_equals_vmap(count, batch):
     x = jax.random.normal(jax.random.key(0), (count, 3))
     y = jnp.arange(count, dtype=float)
-    got = jax.jit(lambda p, s: over_particles(_both, p, s, batch))((x, y), jnp.array(2.0))
-    wanted = jax.jit(jax.vmap(_both, (0, None)))((x, y), jnp.array(2.0))
+    empty = jnp.zeros((count, 0, 2))
+    got = jax.jit(lambda p, s: over_particles(_both, p, s, batch))((x, y, empty), jnp.array(2.0))
+    wanted = jax.jit(jax.vmap(_both, (0, None)))((x, y, empty), jnp.array(2.0))
+    assert got["without entries"][0].shape == empty.shape
     assert jax.tree.all(jax.tree.map(lambda a, b: np.allclose(a, b, atol=1e-6), got, wanted))
 
 
