@@ -107,5 +107,5 @@ def number(value: float) -> str:
 
 
 def with_unit(text: str, figure: Mapping[str, Any]) -> str:
-    """Return a text with the figure's unit; `%` and words after a space. Words without any number have no unit."""
-    return f"{text} {figure['unit']}" if figure.get("unit") and re.search(r"\d", text) else text
+    """Return a text with the figure's unit, if it ends with a number, a bracket or a mark of bold letters."""
+    return f"{text} {figure['unit']}" if figure.get("unit") and re.search(r"[\d)*]$", text) else text

@@ -52,6 +52,7 @@ def pose(case: Case, parts: int) -> Mapping[str, Values]:
             "standard deviation of the error": figures["sd_mm"],
             "frames below 80 mm": percent(figures["under_80"]),
             "frames below 120 mm": percent(figures["under_120"]),
+            "frames at or above 120 mm": None if figures["under_120"] is None else 100 - 100 * figures["under_120"],
         },
         f"pose_{parts}_seconds": {"pose estimation": figures["seconds_per_frame"]},
     }
