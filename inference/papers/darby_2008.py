@@ -21,7 +21,9 @@ from reproduce import Case, Experiment, Values, reproduce
 
 BODY = "person_31"
 # Walks of the same people, from which the activity of a known person is learned.
-TRAINING = {"38_02": ("38_01",), "35_02": ("35_01",)}
+TRAINING = {"38_02": ("38_01",), "35_02": ("35_01", "35_05", "35_07", "35_08", "35_09", "35_10")}
+# The paper's number of states, and the frames that a state needs.
+STATES, FRAMES_OF_STATE = 30, 10
 
 
 def activity_of(case: Case) -> str:
@@ -29,8 +31,9 @@ def activity_of(case: Case) -> str:
     names = TRAINING.get(str(case.subject), ())
     path = case.work / "activities" / f"{'_'.join(names)}.npz"
     if not path.exists():
-        schema, options = load_body(BODY), LearnOptions()
-        motions = [captured(name, str(case.subject), "walk", read_motion(case.captured(name)), BODY, schema, options.fps) for name in names]
+        schema, usual = load_body(BODY), LearnOptions()
+        motions = [captured(name, str(case.subject), "walk", read_motion(case.captured(name)), BODY, schema, usual.fps) for name in names]
+        options = usual._replace(states=min(STATES, sum(len(motion.dofs) for motion in motions) // FRAMES_OF_STATE))
         path.parent.mkdir(parents=True, exist_ok=True)
         save_activity(learn_activity(motions, BODY, schema, options).activity, path)
     return str(path)

@@ -29,16 +29,13 @@ from ratio_plot import draw_along
 from reproduce import Case, Experiment, Values, reproduce
 from true_mean import best_truth
 
-# The particles of the track before the frame that is compared.
-BEFORE = 20_000
-
 
 def compared_frames(case: Case, key: jax.Array, frames: int) -> tuple[Model, Particles, list[Density]]:
     """Return the model, the mixture before the compared frame, and the densities of this frame and those after it."""
     sizes = case.sizes
     session = case.film("side_1", sizes["frame"] + frames)
     model, keys = bb.load_model(sizes["model"], session, lambda line: None), jax.random.split(key)
-    draws = bb.track(keys[0], session, model, bb.kernels.sir(), particles=BEFORE, frames=sizes["frame"])
+    draws = bb.track(keys[0], session, model, bb.kernels.sir(), particles=sizes["before"], frames=sizes["frame"])
     mixture = mixture_after(keys[1], draws, sizes["components"])
     shown = range(sizes["frame"], sizes["frame"] + frames)
     return model, mixture, [model.density(model.observe(bb.read_frame(session, frame)), mixture) for frame in shown]
@@ -50,7 +47,7 @@ def variance(case: Case) -> Mapping[str, Values]:
     model, _, (density,) = compared_frames(case, keys[0], 1)
     options = model.definition.kernel.options.model_dump()
     equals = equal_computations(keys[1], density, options, sizes["draws"], sizes["runs"])
-    truth = best_truth(keys[2], density, sizes["truth"], sizes["long"])
+    truth = best_truth(keys[2], density, sizes["truth"], sizes["long"], starts=sizes["starts"])
     dofs = model.body.dof_names
     figures, curve = figures_of(dofs, equals[-1], truth), curve_of(equals, truth)
     if case.pictures is not None:
@@ -152,20 +149,21 @@ def densities(case: Case) -> Mapping[str, Values]:
     return {"densities": {"standard deviation of the phase": PHASE_SD}}
 
 
-ONE_FRAME = {"model": "legs_by_phase", "frame": 20, "components": 1}
+# `before` is the number of particles of the track up to the frame.
+ONE_FRAME = {"model": "legs_by_phase", "frame": 20, "components": 1, "before": 20_000}
 EXPERIMENTS = (
     Experiment(
         ("variance_ratio", "truth", "more_computation"),
         variance,
-        ONE_FRAME | {"draws": [500, 1000, 2000], "runs": 12, "truth": 400_000, "long": 2000},
-        {"frame": 2, "draws": [50], "runs": 2, "truth": 1000, "long": 20},
+        ONE_FRAME | {"draws": [500, 1000, 2000], "runs": 12, "truth": 400_000, "long": 2000, "starts": 200_000},
+        {"frame": 2, "before": 500, "draws": [50], "runs": 2, "truth": 1000, "long": 20, "starts": 1000},
     ),
-    Experiment(("effective",), effective_particles, ONE_FRAME | {"particles": 20_000}, {"frame": 2, "particles": 2000}),
+    Experiment(("effective",), effective_particles, ONE_FRAME | {"particles": 20_000}, {"frame": 2, "before": 500, "particles": 2000}),
     Experiment(
         ("along_frames",),
         along_frames,
         ONE_FRAME | {"frames": 8, "draws": 2000, "particles": 60_000, "runs": 5, "long": 1600},
-        {"frame": 2, "frames": 2, "draws": 100, "particles": 500, "runs": 2, "long": 100},
+        {"frame": 2, "before": 500, "frames": 2, "draws": 100, "particles": 500, "runs": 2, "long": 100},
     ),
     Experiment(("legs", "rejection", "legs_seconds"), legs, {"frames": 20, "particles": 20_000}, {"frames": 2, "particles": 500}),
     Experiment(("whole_body",), whole_body, {"frames": 20, "particles": 36_000}, {"frames": 2, "particles": 500}),

@@ -34,6 +34,8 @@ LARGEST_DIFFERENCE = 0.1
 
 # Burn-in of a long chain: half as many states as draws, up to this limit.
 LONGEST_BURN_IN = 1000
+# Predictions from which the starts of these chains are drawn.
+STARTS = 200_000
 # Options of these chains, whatever the options of the samplers that are compared.
 OPTIONS = {"mass": "adapted", "leapfrog_steps": 10, "jitter": 0.3, "step": 0.3, "target_acceptance": 0.7}
 # (key, density) -> draws and information.
@@ -107,7 +109,7 @@ def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, floa
     return share @ means, share @ squares, float(1 / np.sum(share**2 / effective))
 
 
-def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32, starts: int = 200_000, watch: Watch = unwatched) -> Truth:
+def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32, starts: int = STARTS, watch: Watch = unwatched) -> Truth:
     """Estimate the mean by two runs of chains. Their starts are drawn from weighted predictions, so modes start with their probabilities.
 
     Args:
@@ -196,10 +198,10 @@ def true_mean_by_tempering(
     return Truth(mean, np.sqrt(variance), (first - second) ** 2, every.effective / 2, "tempering", group_rhat(every))
 
 
-def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False) -> Truth:
-    """The better estimate, by particles or by chains; with `bar`, progress is shown on standard error."""
+def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False, starts: int = STARTS) -> Truth:
+    """The better estimate, by particles or by chains (`true_mean_by_chains`); with `bar`, progress is shown on standard error."""
     by_particles = true_mean(key, density, particles, watched("chunks of the truth", bar))
-    return better_of(by_particles, true_mean_by_chains(key, density, draws, watch=watched("long runs of hmc", bar)))
+    return better_of(by_particles, true_mean_by_chains(key, density, draws, starts=starts, watch=watched("long runs of hmc", bar)))
 
 
 def better_of(particles: Truth, chains: Truth) -> Truth:
