@@ -6,7 +6,7 @@ people are told apart and tracked by the command line as a user would do. Everyo
 - error_mm: mean error of the markers, in company and alone, and the ratio;
 - coverage_90: the share of true markers in their 90 % intervals, in company and alone;
 - exchanged: frames in which the track is nearer to somebody else, and the longest run of them;
-- cpu_s: seconds of all cores. The last line gives those of all people, with telling them apart, over those of one person alone.
+- cost: CPU seconds of all people, with telling them apart, with reports and joint pages, over those of one person alone, with a report.
 """
 
 import argparse
@@ -121,6 +121,8 @@ def without_company(folder: Path, film, network, seed: int, row: dict) -> tuple[
     put_truth(folder / "session", alone.members[0].person.markers)
     frames = ["--first-frame", row["first"], "--frames", row["frames"]]
     seconds = run_program("track", folder / "session", "--out", folder / "run", "--no-pictures", *frames)
+    # As a study of all people does.
+    seconds += run_program("report", folder / "run")
     summary = json.loads((folder / "run" / "summary.json").read_text())
     return {"alone_mm": summary["error_mm_mean"], "alone_coverage_90": summary["coverage_90"]}, seconds
 
