@@ -60,6 +60,7 @@ class Term(NamedTuple):
         smoothed_by: of a kernel: options of the smoother for its runs that differ from the smoother's defaults.
         by_particles: of a kernel: whether what a frame predicts for the next one is a mixture about its particles, or a function of its options that
             says so. Of what hardly moves all particles then descend from a few.
+        takes_proposals: of a kernel: whether it draws from `Density.proposals`. For other kernels nothing is detected.
     """
 
     options: type[BaseModel]
@@ -74,6 +75,7 @@ class Term(NamedTuple):
     few_cameras: FewCameras | None = None
     smoothed_by: Mapping[str, Any] = MappingProxyType({})
     by_particles: bool | Callable[[Any], bool] = False
+    takes_proposals: bool = False
 
     def predicts_by_particles(self, options: Any) -> bool:
         """Return whether a kernel with these options predicts by a mixture about its particles."""
@@ -139,6 +141,7 @@ def register(
     few_cameras: FewCameras | None = None,
     smoothed_by: Mapping[str, Any] = MappingProxyType({}),
     by_particles: bool | Callable[[Any], bool] = False,
+    takes_proposals: bool = False,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a build function under a name in a room. Use it as a decorator.
 
@@ -161,6 +164,7 @@ def register(
         smoothed_by: for a kernel, options of the smoother for its runs that differ from the smoother's defaults.
         by_particles: for a kernel, whether it predicts by a mixture about its particles, or a function of its options that says so. Then there is a
             warning for a model with unknowns.
+        takes_proposals: for a kernel, whether it draws from the proposals of a density, such as detections.
 
     Raises:
         InputError: there is no such room or observation, the name is taken, or the options are not a schema.
@@ -168,7 +172,7 @@ def register(
 
     def decorate(build: Callable[..., Any]) -> Callable[..., Any]:
         _check(room, name, options, build)
-        of_kernel = (samples_posterior, recovers, markov_move, instead, runs_together, few_cameras, smoothed_by, by_particles)
+        of_kernel = (samples_posterior, recovers, markov_move, instead, runs_together, few_cameras, smoothed_by, by_particles, takes_proposals)
         term = Term(options, build, note, reads, *of_kernel)
         terms: dict[Place, Term] = {(room, name): term}
         if observation is not None:

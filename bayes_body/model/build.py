@@ -19,6 +19,7 @@ from bayes_body.base.registry import find
 from bayes_body.base.shapes import Configuration, Key, Pose
 from bayes_body.density.density import Density
 from bayes_body.density.factor import Data, Factor, Particles, State, Transition, variables
+from bayes_body.density.graph import Mixture
 from bayes_body.density.kernel import NamedKernel
 from bayes_body.model.body.build import Shape, build_body
 from bayes_body.model.body.placed_body import loosened, placed_markers
@@ -77,8 +78,11 @@ class Model:
 
     @property
     def reads_pictures(self) -> bool:
-        """Whether a likelihood compares the body with more than keypoints. Only then are pictures decoded to learn which cameras see a frame."""
-        return self.reads != ["keypoints"]
+        """Whether a likelihood compares the body with more than keypoints, or detectors look for it.
+
+        Only then are pictures decoded to learn which cameras see a frame.
+        """
+        return self.reads != ["keypoints"] or bool(self.definition.detectors)
 
     @property
     def reads_before(self) -> bool:
@@ -89,15 +93,16 @@ class Model:
         """Convert a frame's images (`observation.frames.Frame`) to the arrays that the factors need, by factor name."""
         return {name: observer(frame) for name, observer in self.observers.items()}
 
-    def density(self, observation: Data, previous: Particles | None = None) -> Density:
+    def density(self, observation: Data, previous: Particles | None = None, proposals: tuple[Mixture, ...] = ()) -> Density:
         """Return the posterior of a frame as a log-density of the state.
 
         Args:
             observation: the result of `observe`.
             previous: the particles of the previous frame; by default one particle, the initial state.
+            proposals: where to look for the parts of the body (`Density.proposals`).
         """
         before = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), self._equal(1)) if previous is None else previous
-        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), before)
+        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), before, proposals)
 
     def kernel(self, kind: str | None = None, /, **changes: Any) -> NamedKernel:
         """Return the kernel of the definition, or the one that replaces it for a single camera, with single options changed.

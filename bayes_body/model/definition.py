@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -49,6 +49,17 @@ class FirstTable(Schema):
     """[degrees] table: an angle that the first pose is drawn about, in place of the given or fitted one."""
 
 
+type DetectorName = Literal["keypoints", "silhouettes", "standing", "faces", "limbs"]
+
+
+class DetectorsTable(Schema):
+    """The table `[detectors]`: what looks for the parts of a loose-limbed body in every frame. Detections say where to look, and are no evidence."""
+
+    use: tuple[DetectorName, ...] = Field(min_length=1)
+    """their names: `"limbs"` (segments of one colour in pairs of views), `"faces"` (heads), `"silhouettes"` (the visual hull), `"keypoints"`
+    (those of the session, triangulated), `"standing"` (one camera's silhouette)"""
+
+
 class _File(Schema):
     """The schema of a definition file whose terms are not validated yet."""
 
@@ -62,6 +73,7 @@ class _File(Schema):
     unknowns: tuple[TermTable, ...] = Field(alias="unknown", default=())
     kernel: TermTable
     first: FirstTable = FirstTable()
+    detectors: DetectorsTable | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +95,8 @@ class LikelihoodDefinition(TermDefinition):
 class Definition:
     """A model definition: the text of its file, its title and source, a body, and terms with validated options.
 
-    `placement` is `angles`, or `parts` for a loose-limbed body (model/body/placement.py). `first` says how uncertain the first pose is.
+    `placement` is `angles`, or `parts` for a loose-limbed body (model/body/placement.py). `first` says how uncertain the first pose is. `detectors`
+    propose places of the parts to a kernel that takes proposals.
     """
 
     name: str
@@ -100,6 +113,7 @@ class Definition:
     kernel: TermDefinition
     first: FirstTable = FirstTable()
     unknowns: tuple[TermDefinition, ...] = ()
+    detectors: tuple[DetectorName, ...] = ()
 
     def takes_measures_of(self, body: str | None) -> bool:
         """Whether lengths and a first pose with the names of `body` (None: unknown) can be used for this definition's body."""
@@ -180,9 +194,10 @@ def _read(name: str, text: str, data: Mapping[str, Any], collect: "_Collector") 
     unknowns = tuple(collect.term("unknown", f"unknown #{index + 1}", table) for index, table in _tables(data.get("unknown")))
     collect.repeated("unknown", [term.kind for term in unknowns])
     (dynamics, kernel) = (next((collect.term(room, room, table) for _, table in _tables([data.get(room)])), None) for room in ("dynamics", "kernel"))
+    collect.detectors(data.get("detectors"), placement)
     if collect.sentences or file is None or dynamics is None or kernel is None or body is None:
         raise FaultyFileError(collect.sentences)
-    terms = dynamics, likelihoods, constraints, kernel, file.first, unknowns
+    terms = dynamics, likelihoods, constraints, kernel, file.first, unknowns, file.detectors.use if file.detectors else ()
     return Definition(name, text, file.title, file.source, body_name, body_text, placement, body, *terms)
 
 
@@ -272,6 +287,12 @@ class _Collector:
         for kind in dict.fromkeys(kind for kind in kinds if kinds.count(kind) > 1):
             remedy = "put its options in one table"
             self.sentences.append(str(input_error(f"{self.subject}: {key}", f"two tables of the kind '{kind}'", "one of each kind", remedy)))
+
+    def detectors(self, table: Any, placement: str) -> None:
+        """Report detectors of the parts of a body that is placed by angles. The schema of the file reports other faults."""
+        if table is not None and placement != "parts":
+            problem, remedy = "the body is placed by angles, and detections propose places of its parts", "leave the table out"
+            self.sentences.append(str(input_error(f"{self.subject}: detectors", problem, 'placement = "parts" under [body]', remedy)))
 
     def _options(self, room: Room, place: str, kind: str, options: Any) -> Any:
         term = self.attempt(lambda: find(room, kind), f"{self.subject}: {place}.kind: ")

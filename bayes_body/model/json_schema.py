@@ -7,7 +7,7 @@ from pydantic import BaseModel
 from bayes_body.base.registry import Room, find, names
 from bayes_body.base.toml.options import json_schema
 from bayes_body.model.body.schema import BodySchema
-from bayes_body.model.definition import PLACEMENTS, FirstTable, definition_names
+from bayes_body.model.definition import PLACEMENTS, DetectorsTable, FirstTable, definition_names
 
 
 def definition_schema() -> dict[str, Any]:
@@ -32,6 +32,7 @@ def definition_schema() -> dict[str, Any]:
         "potential": potentials,
         "unknown": {"type": "array", "items": document.terms("unknown")},
         "kernel": document.terms("kernel"),
+        "detectors": document.table(DetectorsTable),
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -127,7 +127,8 @@ def check_live(model: Model, session: Session, source: Source, recover: bool) ->
         InputError: it needs more.
     """
     if model.reads_pictures or model.reads_before:
-        problem = f"the model '{model.definition.name}' reads {' and '.join(model.reads)}{' and the frame before' * model.reads_before}"
+        reads = [*model.reads, *["the frame before"] * model.reads_before, *["pictures, for its detectors"] * bool(model.definition.detectors)]
+        problem = f"the model '{model.definition.name}' reads {' and '.join(reads)}"
         raise input_error("--live", problem, "a model that reads only the keypoints of a frame", f"give --model {KEYPOINT_MODEL}")
     if session.moves:
         raise input_error("--live", "a camera of the session moves", "cameras that stand still", "track it after the recording, without --live")

@@ -15,24 +15,34 @@ from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import Frame, cameras_with_picture, frame_of_keypoints, read_frame
 from bayes_body.recording.observation.prefetch import prefetch, threads_for_work
 from bayes_body.recording.session.session import Keypoints, Session
+from bayes_body.tracking.proposing import Proposed, Proposer
 
 # Number of frames that are read forwards and then yielded backwards: a video cannot be read backwards.
 PIECE = 8
 
 
 class Observed(NamedTuple):
-    """A frame's data: which cameras saw it, the factors' arrays, and the factors themselves if a camera moves (None: those of the model)."""
+    """A frame's data.
+
+    Attributes:
+        seen: which cameras saw it.
+        data: the factors' arrays.
+        factors: the factors themselves if a camera moves; None: those of the model.
+        proposals: where to look for the parts of the body; none without a proposer.
+    """
 
     seen: np.ndarray
     data: Any
     factors: Any
+    proposals: Proposed = ()
 
 
-def observations(session: Session, model: Model, frames: range) -> Generator[Observed]:
+def observations(session: Session, model: Model, frames: range, proposer: Proposer | None = None) -> Generator[Observed]:
     """Yield the data of each frame; background threads prepare the next ones.
 
     For a model that reads no pictures, none is decoded: a camera sees a frame if its file exists or its video is long enough. A picture that is
-    damaged or shows nothing makes no difference to such a model, whose keypoints are those of the session.
+    damaged or shows nothing makes no difference to such a model, whose keypoints are those of the session. `proposer` detects in each frame where to
+    look for the parts of the body.
 
     Raises:
         InputError: a frame cannot be read.
@@ -41,7 +51,7 @@ def observations(session: Session, model: Model, frames: range) -> Generator[Obs
     def visibility(index: int) -> Sequence[bool] | None:
         return None if model.reads_pictures else cameras_with_picture(session, index)
 
-    return prefetch(_read(session, model, ([index] for index in frames), visibility), lambda frame: _observed(session, model, frame))
+    return prefetch(_read(session, model, ([index] for index in frames), visibility), lambda frame: _observed(session, model, frame, proposer))
 
 
 def observations_backwards(session: Session, model: Model, last: int, visibility: Callable[[int], Sequence[bool]]) -> Generator[Observed]:
@@ -73,6 +83,7 @@ def _read(session: Session, model: Model, pieces: Iterable[Sequence[int]], visib
                 yield frames.pop()
 
 
-def _observed(session: Session, model: Model, frame: Frame) -> Observed:
+def _observed(session: Session, model: Model, frame: Frame, proposer: Proposer | None = None) -> Observed:
     factors = everywhere(model.at(frame.cameras).factors) if session.moves else None
-    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors)
+    proposals = () if proposer is None else everywhere(proposer(frame))
+    return Observed(np.array(frame.seen), everywhere(model.observe(frame)), factors, proposals)

@@ -32,6 +32,7 @@ from bayes_body.kernels.batching import DEVICES, accelerator_memory, everywhere,
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import read_frame
 from bayes_body.recording.session.session import Session
+from bayes_body.tracking.proposing import proposer_for
 
 # (key of the run, number of the frame, particles, density) -> particles and information; the first and third for several runs if they are stacked.
 type Step = Callable[..., tuple[Particles, FilterInfo]]
@@ -222,7 +223,9 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
             layout = layout_of(kernel, runs)
             key, start = layout.place((jax.random.key(0), model.start(particles)))
             placed = replace(model, transition=layout.place(model.transition), factors=layout.place(model.factors))
-            density = placed.density(layout.place(model.observe(read_frame(session, 0))), start)
+            proposer = proposer_for(session, model, kernel)
+            proposals = () if proposer is None else layout.place(proposer.nothing())
+            density = placed.density(layout.place(model.observe(read_frame(session, 0))), start, proposals)
             form = form_of(layout, key, start, density)
             if (known := _known(kernel, form)) is not None:
                 return known

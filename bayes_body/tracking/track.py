@@ -30,6 +30,7 @@ from bayes_body.tracking.draws import Draws, FrameResult, FrameStore, ThinningSt
 from bayes_body.tracking.fallback import Fallback
 from bayes_body.tracking.observations import Observed, observations
 from bayes_body.tracking.program import Ahead, dispatch, layout_of, program_from
+from bayes_body.tracking.proposing import proposer_for
 from bayes_body.tracking.restarts import Recovery, Restarts
 
 # Chains with a lower mean acceptance do not move; the suggested step is smaller by the factor REDUCTION.
@@ -138,7 +139,8 @@ def track(
     filters = _filters_after(store, particles, runs, count) if done else _first_filters(model, key, particles, runs)
     timing = timing_of(store)
     if done < count:
-        with closing(observations(session, model, range(done, count)) if arriving is None else arriving) as observed:
+        proposer = proposer_for(session, model, kernel) if arriving is None else None
+        with closing(observations(session, model, range(done, count), proposer) if arriving is None else arriving) as observed:
             restarts = None if recovery is None else Restarts(recovery, runs, store)
             computed: list[FrameResult] = []
             results = _filter(model, kernel, key, filters, done, observed, ahead, restarts, session.first_frame, computed, arriving is not None)
@@ -205,10 +207,10 @@ def _filter(
     filters = layout.place(filters)
     model = replace(model, **{name: layout.place(getattr(model, name)) for name in ("transition", "after_found", "factors")})
     step, fallback = None, Fallback(kernel)
-    for frame, (visibility, data, factors) in enumerate(observed, first):
+    for frame, (visibility, data, factors, proposals) in enumerate(observed, first):
         restarted = np.zeros(0, bool) if restarts is None else restarts.restart(frame, filters, run_keys)
         placed = model if factors is None else replace(model, factors=layout.place(factors))
-        density, ready = placed.density(layout.place(data), layout.place(filters[0])), 0.0
+        density, ready = placed.density(layout.place(data), layout.place(filters[0]), layout.place(proposals)), 0.0
         if step is None:
             check_own_factors(density, model.initial)
             step = program_from(ahead, kernel, layout, run_keys[0], filters[0], density)

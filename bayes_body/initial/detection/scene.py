@@ -13,7 +13,7 @@ from bayes_body.initial.detection.figure import ChosenBody, Figure, choose_perso
 from bayes_body.initial.detection.hull import VOXEL_M, Mask, Voxels, clean
 from bayes_body.recording.observation.covered import uncovered
 from bayes_body.recording.observation.frames import Frame, covered_of
-from bayes_body.recording.observation.pictures import Colours, read_colour
+from bayes_body.recording.observation.pictures import Colours
 from bayes_body.recording.readers.camera_path import cameras_at
 from bayes_body.recording.readers.keypoints.triangulate import project
 from bayes_body.recording.session.session import CameraSpec, Keypoints, Session
@@ -102,7 +102,7 @@ def read_scene(session: Session, frame: Frame) -> Scene:
     Raises:
         InputError: the background cannot be learned, or a file cannot be used.
     """
-    pictures = [read_colour(session, frame.index, view) for view in session.views]
+    pictures = (None,) * len(session.views) if frame.colours is None else list(frame.colours)
     masks = None if frame.masks is None else list(frame.masks)
     camera_indices = [c for c, picture in enumerate(pictures) if picture is not None and (masks is None or masks[c] is not None)]
     cameras, covered = cameras_at(session, frame.index), covered_of(frame)

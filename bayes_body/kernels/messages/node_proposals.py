@@ -5,7 +5,16 @@ $$q_i = \gamma_1 \frac{1}{d_i} \sum_{k \to i} m_{ki} + \gamma_2\, \pi_i + \gamma
 with the incoming messages $m_{ki}$ from which one can draw, the prior $\pi_i$ of the node, its detections $f_i$, and a distribution $b_i$ near its
 last belief. The method gives $b_i$ (kernels/messages/methods.py); by default it is a normal distribution fitted to the belief. Every part is
 normalised, so q is an exact density (the balance heuristic of Veach & Guibas 1995), and weights need no unknown constants. The share of a missing
-part goes to the others.
+part goes to the others, but detections keep theirs.
+
+The share of detections adapts. With the particles of the last round and their weights $w^{(n)}$ in the belief, the share of mixture k of detections
+is the part of the weight that it brought,
+
+$$\gamma_{ik} = \sum_n w^{(n)}\, \frac{\gamma'_{ik} f_{ik}(x^{(n)})}{q'_i(x^{(n)})},$$
+
+with the last proposal $q'$ and share $\gamma'$ (Douc, Guillin, Marin & Robert 2007). It is never below LEAST of the first share, so that a detection
+that was not needed yet is not lost, and all of them together never exceed MOST. A round's shares follow from the particles before it, so its weights
+are exact.
 """
 
 import math
@@ -20,6 +29,8 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.graph import Graph, Term
 from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, ends
 
+# Bounds of the share of detections: as a part of their first share, and of the whole.
+LEAST, MOST = 0.2, 0.8
 # The default floors of a fit: standard deviations below which tracking would lose a limb that moves.
 FLOORS = {"m": 0.01, "rad": math.radians(1.0)}
 
@@ -52,7 +63,13 @@ class Proposals(NamedTuple):
 
 
 def proposals(
-    graph: Graph, beliefs: Beliefs, cavities: tuple[Directed, ...], belief_proposals: Any, shares: Shares, is_sole_proposal: bool
+    graph: Graph,
+    beliefs: Beliefs,
+    cavities: tuple[Directed, ...],
+    belief_proposals: Any,
+    shares: Shares,
+    is_sole_proposal: bool,
+    detections: Float[Array, "node mixture"] | None = None,
 ) -> Proposals:
     """Return the proposal of every node.
 
@@ -63,6 +80,7 @@ def proposals(
         belief_proposals: a distribution near each belief, stacked over the nodes.
         shares: the shares of a node that has all parts.
         is_sole_proposal: whether `belief_proposals` are the whole proposal of a node that has particles.
+        detections: for each node, the share of each mixture of detections in the whole; by default the first shares.
     """
     degree = jnp.zeros(graph.count, beliefs.points.dtype)
     for term in graph.pairs:
@@ -80,11 +98,16 @@ def proposals(
 
     no_share = jnp.zeros(graph.count, beliefs.points.dtype)
     mixtures = [no_share if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
-    own_shares = [shares.prior, *[shares.detections / max(len(graph.proposals), 1)] * len(graph.proposals)]
-    other_parts = [shares.messages * (degree > 0), *(share * exists for share, exists in zip(own_shares, mixtures, strict=True))]
     remainder = 1 - beliefs.ready if is_sole_proposal else jnp.ones_like(no_share)
-    parts = [*(remainder * part for part in other_parts), (1.0 if is_sole_proposal else shares.fit) * beliefs.ready]
-    table = jnp.stack([jnp.asarray(part, no_share.dtype) for part in parts], axis=1)
+    others = [
+        remainder * shares.messages * (degree > 0),
+        remainder * shares.prior * mixtures[0],
+        (1.0 if is_sole_proposal else shares.fit) * beliefs.ready,
+    ]
+    detected = first_shares(graph, shares) if detections is None else detections
+    detected = [remainder * share * exists for share, exists in zip(detected.T, mixtures[1:], strict=True)]
+    rest = (1 - sum(detected, no_share)) / jnp.maximum(sum(others, no_share), 1e-30)
+    table = jnp.stack([jnp.asarray(part, no_share.dtype) for part in (rest * others[0], rest * others[1], *detected, rest * others[2])], axis=1)
     # If no part that a node has gets a share, its first particles come from prior and detections.
     begin = jnp.stack([no_share, *(jnp.asarray(exists, no_share.dtype) for exists in mixtures), no_share], axis=1)
     table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
@@ -95,6 +118,18 @@ def proposals(
         jnp.log(table / jnp.maximum(jnp.sum(table, axis=1, keepdims=True), 1e-30)),
         tuple(map(probability, graph.pairs)),
     )
+
+
+def first_shares(graph: Graph, shares: Shares) -> Float[Array, "node mixture"]:
+    """Return the share of each mixture of detections in the whole proposal of a node, before anything is known of them."""
+    count = len(graph.proposals)
+    return jnp.full((graph.count, count), shares.detections / max(sum(shares), 1e-30) / max(count, 1))
+
+
+def adapted_shares(first: Float[Array, "node mixture"], brought: Float[Array, "node mixture"]) -> Float[Array, "node mixture"]:
+    """Return the next shares of the mixtures of detections, given the part of the belief's weight that they brought."""
+    wanted = jnp.maximum(brought, LEAST * first)
+    return wanted * jnp.minimum(1.0, MOST / jnp.maximum(jnp.sum(wanted, axis=1, keepdims=True), 1e-30))
 
 
 def draw(key: Key, graph: Graph, proposal: Proposals, count: int) -> Float[Array, "node draw *entry"]:

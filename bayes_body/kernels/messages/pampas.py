@@ -40,6 +40,8 @@ class Pampas(Passing):
     def __init__(self, graph: Graph, settings: Settings):
         """Take the graph and the settings. `samples` are the particles of a message; `shares` are those of the joint draws' proposals."""
         super().__init__(graph, settings)
+        # The common proposal is that of the joint draws alone.
+        self.adapts = False
         self.slots = slots_of(graph)
         self.each, self.strata = max(settings.samples // 2, 1), 1 + self.slots.shape[1]
         self.held = self.each * self.strata

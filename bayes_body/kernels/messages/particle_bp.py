@@ -165,7 +165,9 @@ class ParticleBP:
         log_evidence = passed.joint.log_evidence
         if density.has_potentials:
             # The potentials are not normalised given the previous frame: the evidence is the ratio of both normalisers, as in `tempered`.
-            prior = parts_graph(replace(density, factors=tuple(factor for factor in density.factors if factor.side != "likelihood")))
+            # Detections say where the likelihood may be large, and the motion prior proposes itself.
+            of_prior = tuple(factor for factor in density.factors if factor.side != "likelihood")
+            prior = parts_graph(replace(density, factors=of_prior, proposals=()))
             log_evidence -= pass_messages(prior_key, prior, options, schedule(prior, options.schedule, PRIOR_ITERATIONS)).joint.log_evidence
         posterior = normalise(passed.joint.log_weights)
         unconstrained = density.unconstrained()
@@ -217,7 +219,7 @@ def build_kernel(**options: Any) -> ParticleBP:
     return ParticleBP(validate(Options, options, "particle_bp()"))
 
 
-@register("kernel", "particle_bp", Options, samples_posterior=True, recovers=True)
+@register("kernel", "particle_bp", Options, samples_posterior=True, recovers=True, takes_proposals=True)
 def build(options: Options, **_: Any) -> Kernel:
     """Build the kernel from a definition's options."""
     return ParticleBP(options)

@@ -37,7 +37,17 @@ from bayes_body.kernels.messages.messages import (
     unary_values,
 )
 from bayes_body.kernels.messages.methods import MethodName, method
-from bayes_body.kernels.messages.node_proposals import FLOORS, Proposals, Shares, draw, log_density, log_parts, proposals
+from bayes_body.kernels.messages.node_proposals import (
+    FLOORS,
+    Proposals,
+    Shares,
+    adapted_shares,
+    draw,
+    first_shares,
+    log_density,
+    log_parts,
+    proposals,
+)
 from bayes_body.kernels.messages.schedules import Round, depths
 from bayes_body.kernels.weights import effective_sample_size
 
@@ -48,10 +58,13 @@ class Memory(NamedTuple):
     Attributes:
         method: what the method remembers.
         last: for each term, the sources of its messages at their last update; empty without damping.
+        detected: at the particles of each node, the share of each mixture of detections in the proposal that they were drawn from; None if shares
+            do not adapt.
     """
 
     method: Any
     last: tuple[Sources, ...]
+    detected: Float[Array, "node sample mixture"] | None = None
 
 
 class Settings(NamedTuple):
@@ -84,6 +97,8 @@ class Passing:
         self.method = method(settings.method, settings.inflation, self.floors)
         # The number of particles of each node.
         self.held = settings.samples
+        # A method that draws from its own distribution alone has no share to adapt.
+        self.adapts = bool(graph.proposals) and settings.shares.detections > 0 and not self.method.is_sole_proposal
 
     def begin(self, key: Key) -> tuple[Beliefs, Memory]:
         """Return beliefs whose nodes are not ready. Messages from them say nothing yet; their first round draws them from prior and proposals."""
@@ -97,7 +112,8 @@ class Passing:
         last = tuple(
             sources(term, directed, points, zero[:, 0]) for term, directed in zip(graph.pairs, messages, strict=True) if self.settings.damping
         )
-        return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last)
+        detected = jnp.zeros((*zero.shape, len(graph.proposals)), zero.dtype) if self.adapts else None
+        return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last, detected)
 
     def proposals(self, beliefs: Beliefs, memory: Memory, power: float | Scalar) -> tuple[Proposals, Memory, Summary]:
         """Return the proposals that follow from beliefs, the memory, and figures of the beliefs. `power` is the power of the likelihood."""
@@ -107,7 +123,8 @@ class Passing:
             beliefs.points, weights
         )
         belief_proposals, method_memory = self.method.near_beliefs(graph, beliefs, weights, fits, memory.method, power)
-        proposal = proposals(graph, beliefs, cavity, belief_proposals, self.settings.shares, self.method.is_sole_proposal)
+        detections = self._shares_of_detections(beliefs, memory, weights)
+        proposal = proposals(graph, beliefs, cavity, belief_proposals, self.settings.shares, self.method.is_sole_proposal, detections)
         of_messages = [jax.vmap(effective_sample_size)(log_weights) for directed in cavity for log_weights in directed]
         least = jnp.min(jnp.concatenate(of_messages)) if of_messages else jnp.asarray(float(self.held))
         sds = belief_sds(graph.space, jnp.exp(weights), beliefs.points, fits.mean)
@@ -125,6 +142,10 @@ class Passing:
         likelihood, potential = unary_values(graph, points, turn.unary)
         prior = self._prior(graph.by_ancestor(points))
         log_q = self.log_q(beliefs, proposal, points, arrived, prior)
+        if memory.detected is not None:
+            parts = log_parts(graph, proposal, points, arrived, prior)[..., 2:-1]
+            detected = jnp.exp(jnp.where(parts > -jnp.inf, parts - log_q[..., None], -jnp.inf))
+            memory = memory._replace(detected=jnp.where(redrawn[:, None, None], detected, memory.detected))
         ready = jnp.where(redrawn & self.drawn(beliefs, proposal), 1.0, beliefs.ready)
         chosen = redrawn[:, None] & (ready[:, None] > 0)
         next_beliefs = Beliefs(
@@ -157,6 +178,14 @@ class Passing:
         """Return which nodes can be drawn."""
         del beliefs
         return jnp.max(proposal.shares, axis=1) > -jnp.inf
+
+    def _shares_of_detections(self, beliefs: Beliefs, memory: Memory, weights: NodeValues) -> Float[Array, "node mixture"]:
+        """Return the share of each mixture of detections: the first one, and what it brought to the belief where a node has particles."""
+        first = first_shares(self.graph, self.settings.shares)
+        if memory.detected is None:
+            return first
+        brought = jnp.einsum("ns,nsk->nk", jnp.exp(weights), memory.detected)
+        return jnp.where(beliefs.ready[:, None] > 0, adapted_shares(first, brought), first)
 
     def _arrived(self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], turn: Round) -> tuple[Directed, ...]:
         """Return all messages. Those into the nodes of the round are evaluated at their new particles."""

@@ -36,7 +36,8 @@ class Frame(NamedTuple):
     and share, as many as the camera with the most has in any frame, so that all frames have one form; a missing one has no keypoints and the share 0.
     `covered` (row, column) is where other people cover each camera's image: not seen, for all that reads silhouettes. It is computed on first access,
     and None for a camera that sees no other person in this frame. Both are None as a whole where no camera sees several people in any frame, but
-    `covered` is not where the session says that a silhouette may be of several people.
+    `covered` is not where the session says that a silhouette may be of several people. `colours` are the images in blue, green and red, read on first
+    access; None as a whole if only keypoints are known.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -50,6 +51,7 @@ class Frame(NamedTuple):
     have_image: tuple[bool, ...] | None = None
     candidates: tuple[tuple[tuple[Keypoints, float], ...], ...] | None = None
     covered: Sequence[NDArray[np.bool_] | None] | None = None
+    colours: Sequence[Colours | None] | None = None
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -106,12 +108,13 @@ def read_frame(
     have_image = tuple(grey is not None for grey in greys) if seen is None else tuple(seen)
     seen_pictures = [picture if has_image else None for picture, has_image in zip(pictures, have_image, strict=True)]
     images = _OnDemand([lambda p=picture: None if p is None else p.grey for picture in seen_pictures])
+    colours = _OnDemand([lambda p=picture: None if p is None else p.colour for picture in seen_pictures])
     sizes = tuple(view.camera.size_px for view in session.views)
     series = _series(session, index, have_image)
     keypoints, cameras = _keypoints(series), cameras_at(session, index)
     candidates, covered = _candidates(series), _covered(session, series)
     if not has_silhouettes(session):
-        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered)
+        return Frame(index, images, None, None, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered, colours)
     silhouettes = [_Silhouette(session, index, view, picture) for view, picture in zip(session.views, seen_pictures, strict=True)]
     masks = _OnDemand([lambda s=s: s.mask for s in silhouettes])
     foreground = _OnDemand([lambda s=s: s.foreground for s in silhouettes])
@@ -119,7 +122,7 @@ def read_frame(
         covered = _OnDemand([_whole_region(covered, masks, camera) for camera in range(len(masks))])
     elif session.segmentation.figures == "near_body":
         covered = (None,) * len(masks)
-    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered)
+    return Frame(index, images, masks, foreground, sizes, keypoints, cameras, previous_frame, have_image, candidates, covered, colours)
 
 
 def frame_of_keypoints(session: Session, index: int, keypoints: tuple[Keypoints | None, ...]) -> Frame:
