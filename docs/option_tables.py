@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from bayes_body.base.registry import find, names
 from bayes_body.base.toml.options import options_table
-from bayes_body.model.definition import FirstTable
+from bayes_body.model.definition import DetectorsTable, FirstTable
 from bayes_body.model.likelihood.edge_phase import Scale
 from bayes_body.model.potentials.kinematic import Component
 from bayes_body.runs.study.cluster_file import ClusterFile, CondorTable, QueueTable, SlurmTable, SSHTable
@@ -26,7 +26,7 @@ HEADINGS = {
 POTENTIALS = ("kinematic", "penetration")
 # The rows below a table's head.
 ROWS = re.compile(r"(?<=\n\|---\|---\|---\|---\|\n)(?:\|.*\n)*")
-TABLES = {"The first pose": FirstTable, "`[[likelihood.scale]]`": Scale, "`[[potential.component]]`": Component}
+TABLES = {"The first pose": FirstTable, "Detectors": DetectorsTable, "`[[likelihood.scale]]`": Scale, "`[[potential.component]]`": Component}
 
 
 def schemas() -> dict[str, dict[str, type[BaseModel]]]:

@@ -4,6 +4,7 @@ Cases: a Gaussian chain with the smoother's answer; the tree and the grid of Lie
 """
 
 import sys
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -62,20 +63,29 @@ def log_seen(seen, x):
     return jnp.sum(-0.5 * (seen - x) ** 2 / NOISE - 0.5 * jnp.log(2 * jnp.pi * NOISE))
 
 
-def chain(seen: np.ndarray) -> Graph:
+def chain(seen: np.ndarray, near: Sequence[int] = range(STEPS), astray: Sequence[int] = ()) -> Graph:
+    """The chain, with detections of the nodes `near` about what was seen, and wrong ones of the nodes `astray`, six noises away."""
+
+    def detected(seen):
+        return dist.Normal(seen, (2 * NOISE) ** 0.5).to_event(1)
+
+    wrong = [proposal("astray", detected, list(astray), jnp.asarray(seen[list(astray)] + 6 * NOISE**0.5))] if astray else []
     return graph(
         {"x": (STEPS, 2)},
         node_factor("first", dist.Normal(0.0, FIRST**0.5).expand([2]).to_event(1), ["x_0"]),
         node_factor("seen", log_seen, parameters=jnp.asarray(seen)),
         edge_factor("step", dist.Normal(0.0, MOVE**0.5).expand([2]).to_event(1), [(i, i + 1) for i in range(STEPS - 1)]),
-        proposal("near", lambda seen: dist.Normal(seen, (2 * NOISE) ** 0.5).to_event(1), parameters=jnp.asarray(seen)),
+        proposal("near", detected, list(near), jnp.asarray(seen[list(near)])),
+        *wrong,
     )
 
 
-def chain_scores(samples: int, runs: int, kind: str = "flooding", **options) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def chain_scores(
+    samples: int, runs: int, kind: str = "flooding", detections: Mapping[str, Sequence[int]] = {}, **options
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Biases of means and variances in standard errors, errors of the log-evidence, and the efficiency of the means in independent draws a sample."""
     mean, variance, evidence = smoother(random_walk())
-    found = passed(chain(random_walk()), runs, kind, samples=samples, **{"iterations": 6, **options})
+    found = passed(chain(random_walk(), **detections), runs, kind, samples=samples, **{"iterations": 6, **options})
     means, variances = belief_moments(found)
     errors, ratios = means - mean, variances / variance[:, None] - 1
     in_errors = [each.mean(0) / each.std(0, ddof=1) * runs**0.5 for each in (errors, ratios)]

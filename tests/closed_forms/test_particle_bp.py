@@ -37,9 +37,16 @@ OPTIMISED = pytest.mark.usefixtures("optimised")
 # -- a Gaussian chain -------------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("kind", "iterations"), [("flooding", 6), pytest.param("tree", 2, marks=pytest.mark.long)])
-def test_a_gaussian_chain_is_exact(kind, iterations):
-    means, variances, evidence, efficiency = chain_scores(200, 30, kind, iterations=iterations)
+# Nothing is detected of two nodes, and what is detected of two others is wrong.
+ASTRAY = {"near": [0, 1, 2, 4, 5, 6, 7, 9], "astray": [2, 6]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "iterations", "detections"),
+    [("flooding", 6, {}), ("flooding", 6, ASTRAY), pytest.param("tree", 2, {}, marks=pytest.mark.long)],
+)
+def test_a_gaussian_chain_is_exact(kind, iterations, detections):
+    means, variances, evidence, efficiency = chain_scores(200, 30, kind, detections, iterations=iterations)
     assert np.sqrt(np.mean(means**2)) < 1.6 and np.abs(means).max() < 4.5
     assert np.sqrt(np.mean(variances**2)) < 1.8
     # The estimate of the evidence itself is unbiased.

@@ -3,11 +3,14 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro.distributions as dist
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bayes_body.density.pairwise import edge_factor, graph, node_factor, proposal
 from bayes_body.density.spaces import SE3, circle, euclidean
-from bayes_body.kernels.messages.messages import Summary, belief_sds, changes, message_figures, oscillation, shares_of_weight
+from bayes_body.kernels.messages.messages import Beliefs, Directed, Summary, belief_sds, changes, message_figures, oscillation, shares_of_weight
+from bayes_body.kernels.messages.node_proposals import LEAST, MOST, Shares, adapted_shares, proposals
 
 _changes, _oscillation = (jax.jit(function, static_argnums=0) for function in (changes, oscillation))
 LINE = euclidean(("x", "y"), ("m", "m"))
@@ -68,6 +71,31 @@ def test_standard_deviations_are_weighted():
     points = jnp.asarray([[[0.0, 0.0], [1.0, 0.0], [50.0, 50.0]]])
     found = jax.jit(belief_sds, static_argnums=0)(LINE, jnp.asarray([[0.25, 0.75, 0.0]]), points, jnp.asarray([[0.75, 0.0]]))
     np.testing.assert_allclose(found, [[(0.25 * 0.75) ** 0.5, 0.0]], rtol=1e-6)
+
+
+def test_detections_have_the_share_that_they_brought_within_bounds():
+    """The first mixture brought much, little, and too much together with the second; the second brought nothing, little, and much."""
+    first, brought = jnp.full((3, 2), 0.1), jnp.asarray([[0.5, 0.0], [0.01, 0.05], [0.8, 0.4]])
+    expected = [[0.5, LEAST * 0.1], [LEAST * 0.1, 0.05], [MOST * 2 / 3, MOST / 3]]
+    np.testing.assert_allclose(adapted_shares(first, brought), expected, rtol=1e-6)
+
+
+def test_a_node_without_detections_gives_their_share_to_the_others():
+    """Of three nodes with messages and particles, the first is detected, the second is not, and the third has no particles yet."""
+    built = graph(
+        {"x": (3, 1)},
+        node_factor("prior", lambda x: -(x[0] ** 2)),
+        edge_factor("step", dist.Normal(0.0, 1.0).expand([1]).to_event(1), [(0, 1), (1, 2)]),
+        proposal("near", lambda place: dist.Normal(place, 1.0).expand([1]).to_event(1), [0, 2], jnp.asarray([0.0, 1.0])),
+    )
+    points, zeros, ready = jnp.zeros((3, 4, 1)), jnp.zeros((3, 4)), jnp.asarray([1.0, 1.0, 0.0])
+    nothing = Directed(jnp.zeros((2, 4)), jnp.zeros((2, 4)))
+    beliefs = Beliefs(points, zeros, zeros, zeros, (nothing,), ready)
+    chosen = proposals(built, beliefs, (nothing,), None, Shares(0.3, 0.1, 0.2, 0.6), False)
+    # Messages, prior, detections, fit. There is no prior; of the third node's neighbours one has particles.
+    others = 1 - 0.2 / 1.2
+    expected = [[others / 3, 0, 0.2 / 1.2, others * 2 / 3], [1 / 3, 0, 0, 2 / 3], [others, 0, 0.2 / 1.2, 0]]
+    np.testing.assert_allclose(np.exp(chosen.shares), expected, atol=1e-6)
 
 
 def test_a_share_is_what_a_part_of_the_proposal_brought():

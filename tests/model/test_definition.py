@@ -165,6 +165,11 @@ FAULTS = {
         "likelihood #1.observation: edge_threshold = 0; expected a number",
     ),
     "unknown kind": (('kind = "diffusion"', 'kind = "difusion"'), "dynamics.kind: dynamics 'difusion' does not exist; did you mean 'diffusion'?"),
+    "detectors of a body by angles": (("[kernel]", '[detectors]\nuse = ["limbs"]\n\n[kernel]'), "detectors: the body is placed by angles"),
+    "detector": (
+        ('name = "arm_4"', 'name = "arm_4"\nplacement = "parts"\n[detectors]\nuse = ["limb"]'),
+        "detectors.use #1 = \"limb\": no such choice; did you mean 'limbs'?",
+    ),
     "infinite": (("at_fps = 30", "at_fps = inf"), "dynamics: at_fps = inf; expected a finite number"),
     "not quite whole": (("particles = 12", "particles = 12.5"), "kernel: particles = 12.5; expected a whole number"),
 }

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_body.base.config import FAST_COMPILE
+from bayes_body.base.errors import input_error
 from bayes_body.base.geometry import rigid, rotations
 from bayes_body.base.geometry.namespaces import device_array
 from bayes_body.base.geometry.transforms import Transform
@@ -32,6 +33,9 @@ from bayes_body.model.body.solids import Body, part_transforms
 
 # Number of the strongest detections of a part, and of its landmarks, that make a proposal. It is fixed, so that no frame is traced again.
 MOST = 12
+
+# The markers that say which way a body at rest is up, and which way it faces.
+TRUNK = ("l_hip", "r_hip", "pelvis", "thorax")
 
 # The parameters of a distribution, without and with its weight.
 type Parameters = tuple[np.ndarray, ...]
@@ -54,9 +58,13 @@ def frames_of(body: Body) -> Frames:
     """Return how detections are attached to a loose-limbed body.
 
     Raises:
-        InputError: the body is placed by angles.
+        InputError: the body is placed by angles, or lacks a marker of TRUNK.
     """
     placement = by_parts(body)
+    missing = next((name for name in TRUNK if name not in body.markers.names), None)
+    if missing:
+        remedy = "take a person's body, or leave [detectors] out"
+        raise input_error("detectors", f"the body '{body.name}' has no marker '{missing}'", f"the markers {', '.join(TRUNK)}", remedy)
     zero, markers, (rotation, base) = jax.tree.map(lambda leaf: np.asarray(leaf, float), _at_rest(body))
     marker_places = dict(zip(body.markers.names, markers, strict=True))
     # The cross product of an upright body's left and up.
