@@ -21,6 +21,7 @@ from bayes_body.base.errors import input_error
 from bayes_body.base.shapes import Key, Scalar
 from bayes_body.density.plate import Plate
 from bayes_body.density.spaces import Space
+from bayes_body.density.tangent_normal import TangentNormal
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["name", "tempered"], data_fields=["plate", "data"])
@@ -79,6 +80,16 @@ class Mixture(NamedTuple):
         index = jax.random.categorical(choice, self.log_weights[:, None], axis=-1, shape=(nodes, count))
         chosen = jax.tree.map(lambda leaf: jax.vmap(lambda row, i: row[i])(leaf, index), self.components)
         return jax.vmap(jax.vmap(lambda key, component: jnp.asarray(component.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
+
+    def given(self, predictions: TangentNormal) -> "Mixture":
+        """Return the mixtures given normal predictions, stacked over the nodes. A component that fits its node's prediction gains weight.
+
+        The components have `given(prediction) -> (TangentNormal, log of the integral)`.
+        """
+        components, fits = jax.vmap(lambda row, prediction: jax.vmap(lambda one: one.given(prediction))(row))(self.components, predictions)
+        log_weights = self.log_weights + jnp.where(self.log_weights > -jnp.inf, fits, 0.0)
+        total = jax.nn.logsumexp(log_weights, axis=1, keepdims=True)
+        return Mixture(components, jnp.where(total > -jnp.inf, log_weights - total, -jnp.inf))
 
     def log_components(self, values: Float[Array, "node draw *entry"]) -> Float[Array, "node draw component"]:
         """Return the log-density of each component, without its weight, at the values of every node.

@@ -23,6 +23,10 @@ from bayes_body.density.plate import Plate
 from bayes_body.density.sized_nodes import size_normals, sized_mixture, sized_plate, sized_space
 from bayes_body.density.spaces import Flat, Space
 from bayes_body.density.spaces import Plate as PlateSpace
+from bayes_body.density.tangent_normal import fit
+
+# Number of draws of the prediction that detections are combined with, and the factor of its covariance: a person who is lost is not where predicted.
+PREDICTED, WIDER = 100, 4.0
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=["variable", "sizes"], data_fields=["density", "predictions"])
@@ -77,7 +81,8 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         plate = plate if normals is None else sized_plate(plate, sizes, normals)
         term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
         (unaries if len(plate.rows[0]) == 1 else pairs).append(term)
-    prior, proposals = _by_node(predictions[name], log_weights), density.proposals
+    prior = _by_node(predictions[name], log_weights)
+    proposals = _given_prediction(space.space, prior, density.proposals) if density.proposals else ()
     if normals is not None:
         prior, proposals = sized_mixture(prior, normals), tuple(sized_mixture(mixture, normals) for mixture in proposals)
     rest = replace(density, factors=tuple(joint_factors))
@@ -92,6 +97,15 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         joint_factors=Rest(name, sizes, rest, {name: predictions[name]}) if joint_factors else None,
         sizes=sizes,
     )
+
+
+def _given_prediction(space: Space, prior: Mixture, detections: tuple[Mixture, ...]) -> tuple[Mixture, ...]:
+    """Return detections given a wide normal prediction of their nodes: nobody detects how a limb is turned about its axis."""
+    # Any draws will do: where to look is no term of the density.
+    points = prior.sample(jax.random.key(0), PREDICTED)
+    equal = jnp.full(PREDICTED, 1 / PREDICTED, points.dtype)
+    predictions = jax.vmap(lambda drawn: fit(space, equal, drawn, WIDER))(points)
+    return tuple(mixture.given(predictions) for mixture in detections)
 
 
 def _is_size(space: Space, nodes: PlateSpace) -> bool:

@@ -52,6 +52,28 @@ class TangentNormal:
         log_densities = normal - jnp.asarray(self.space.log_measure(v)) - 0.5 * v.shape[-1] * math.log(2 * math.pi)
         return log_densities[0] if log_densities.shape == (1,) else jax.nn.logsumexp(log_densities)
 
+    def given(self, prediction: "TangentNormal") -> "tuple[TangentNormal, Scalar]":
+        """Return the product with a prediction of the same value, normalised, and the log of its integral; both to first order.
+
+        What this distribution leaves open, such as the turn of a limb about its axis, then follows the prediction.
+        """
+        away = jnp.asarray(self.space.local(self.mean, prediction.mean))
+        covariance = self.root @ self.root.T
+        both = covariance + prediction.root @ prediction.root.T
+        gain = jnp.linalg.solve(both, covariance).T
+        mean = jnp.asarray(self.space.retract(self.mean, gain @ away))
+        return tangent_normal(self.space, mean, symmetric(covariance - gain @ covariance)), log_normal(away, both)
+
+
+def log_normal(v: Float[Array, " dimension"], covariance: Float[Array, "dimension dimension"]) -> Scalar:
+    """Return the log-density of a normal distribution with mean zero."""
+    return -0.5 * (v @ jnp.linalg.solve(covariance, v) + jnp.linalg.slogdet(covariance)[1] + len(v) * math.log(2 * math.pi))
+
+
+def symmetric(covariance: Float[Array, "dimension dimension"]) -> Float[Array, "dimension dimension"]:
+    """Return a covariance that is the difference of two others without the traces of rounding, which could make it no covariance."""
+    return (covariance + covariance.T) / 2 + TINY**2 * jnp.eye(len(covariance), dtype=covariance.dtype)
+
 
 def tangent_normal(space: Space, mean: Array, covariance: Float[Array, "dimension dimension"]) -> TangentNormal:
     """Return the distribution with this mean and covariance of tangent vectors."""

@@ -9,6 +9,8 @@ import pytest
 
 from bayes_body.base.geometry import rigid, rotations
 from bayes_body.density.point_and_axis import PointAndAxis
+from bayes_body.density.spaces import SE3
+from bayes_body.density.tangent_normal import tangent_normal
 
 COUNT = 40_000
 
@@ -49,3 +51,19 @@ def test_density_and_draws_agree(concentration):
     expected = 1 / math.tanh(concentration) - 1 / concentration if concentration else 0.0
     assert abs(cosine.mean() - expected) < 4 * cosine.std() / COUNT**0.5
     assert np.all(np.abs(direct[:, :3].std(0) / np.asarray(exact.sd_m) - 1) < 4 * (0.5 / COUNT) ** 0.5)
+
+
+def test_a_prediction_whose_point_is_at_the_place():
+    """Where rotations are nearly known, the product of both densities is the integral times the third one."""
+    seen, mean = known(0.0), [0.93, 2.17, 2.72, *np.array([0.9, 0.1, -0.3, 0.3]) / np.linalg.norm([0.9, 0.1, -0.3, 0.3])]
+    covariance = np.diag([0.05, 0.04, 0.06, 0.02, 0.03, 0.01]) ** 2
+    predicted = tangent_normal(SE3(), jnp.asarray(mean, jnp.float32), jnp.asarray(covariance, jnp.float32))
+
+    @jax.jit
+    def ratios(seen, predicted):
+        chosen, log_integral = seen.given(predicted)
+        x = jax.vmap(chosen.sample)(jax.random.split(jax.random.key(2), 500))
+        log_density = jax.vmap(lambda x: seen.log_prob(x) + predicted.log_prob(x) - chosen.log_prob(x))(x)
+        return log_density - log_integral + math.log(8 * math.pi**2)
+
+    assert np.abs(np.asarray(ratios(seen, predicted))).max() < 0.1

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from bayes_body.base.geometry import rotations
-from bayes_body.density.spaces import SE3, SO3, Flat, circle
+from bayes_body.density.spaces import SE3, SO3, Flat, circle, euclidean
 from bayes_body.density.tangent_normal import WIDEST_RAD, fit, tangent_normal
 
 # As wide as a fit goes about one axis: 5 % of the tangent vectors are longer than half a turn.
@@ -127,3 +127,27 @@ def test_a_logarithm_that_sees_the_sign_is_found_out(monkeypatch):
     monkeypatch.setattr(rotations, "canonical", lambda q: q)
     found = fits_of_both_signs()
     assert np.abs(found[1] - found[0]).max() > 1
+
+
+def test_what_a_prediction_leaves_of_a_normal():
+    """In a flat space the product of two densities is the integral times the third one, exactly."""
+    rng, plane = np.random.default_rng(3), euclidean(("x", "y"), ("m", "m"))
+    covariances = [root @ root.T + 0.1 * np.eye(2) for root in rng.normal(size=(2, 2, 2))]
+    means = rng.normal(size=(2, 2))
+    seen, predicted = (tangent_normal(plane, *(jnp.asarray(each, jnp.float32) for each in pair)) for pair in zip(means, covariances, strict=True))
+    points = jnp.asarray(rng.normal(size=(20, 2)), jnp.float32)
+    product, log_integral = jax.jit(lambda seen, predicted: seen.given(predicted))(seen, predicted)
+    log_densities = jax.jit(lambda normal: jax.vmap(normal.log_prob)(points))
+    np.testing.assert_allclose(log_densities(product) + log_integral, log_densities(seen) + log_densities(predicted), atol=1e-3)
+
+
+def test_an_unknown_turn_follows_the_prediction():
+    """The origin and the axis are detected, the turn about z is not; it is predicted 100 degrees away."""
+    sd = np.array([0.02, 0.02, 0.02, 0.1, 0.1, WIDEST_RAD])
+    turn = Rotation.from_euler("z", 100, degrees=True).as_quat(scalar_first=True)
+    seen = tangent_normal(SE3(), jnp.asarray([0.1, 0, 0, 1, 0, 0, 0], jnp.float32), jnp.asarray(np.diag(sd**2), jnp.float32))
+    predicted = tangent_normal(SE3(), jnp.asarray([0, 0, 0, *turn], jnp.float32), jnp.asarray(np.diag([0.1] * 6) ** 2, jnp.float32))
+    chosen, _ = jax.jit(lambda seen, predicted: seen.given(predicted))(seen, predicted)
+    away = np.degrees(Rotation.from_quat(np.asarray(chosen.mean[3:], float), scalar_first=True).as_rotvec())
+    np.testing.assert_allclose(away, [0, 0, 100 * 1.44 / 1.45], atol=0.1)
+    np.testing.assert_allclose(chosen.mean[:3], [0.1 * 0.01 / 0.0104, 0, 0], atol=1e-4)
