@@ -81,12 +81,12 @@ class Mixture(NamedTuple):
         chosen = jax.tree.map(lambda leaf: jax.vmap(lambda row, i: row[i])(leaf, index), self.components)
         return jax.vmap(jax.vmap(lambda key, component: jnp.asarray(component.sample(key))))(jax.random.split(draw, (nodes, count)), chosen)
 
-    def given(self, predictions: TangentNormal) -> "Mixture":
-        """Return the mixtures given normal predictions, stacked over the nodes. A component that fits its node's prediction gains weight.
+    def combine(self, predictions: TangentNormal) -> "Mixture":
+        """Return the mixtures times normal predictions, stacked over the nodes. A component that fits its node's prediction gains weight.
 
-        The components have `given(prediction) -> (TangentNormal, log of the integral)`.
+        The components have `combine(prediction) -> (TangentNormal, log of the integral)`.
         """
-        components, fits = jax.vmap(lambda row, prediction: jax.vmap(lambda one: one.given(prediction))(row))(self.components, predictions)
+        components, fits = jax.vmap(lambda row, prediction: jax.vmap(lambda one: one.combine(prediction))(row))(self.components, predictions)
         log_weights = self.log_weights + jnp.where(self.log_weights > -jnp.inf, fits, 0.0)
         total = jax.nn.logsumexp(log_weights, axis=1, keepdims=True)
         return Mixture(components, jnp.where(total > -jnp.inf, log_weights - total, -jnp.inf))

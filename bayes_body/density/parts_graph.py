@@ -82,7 +82,7 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
         term = Term(factor.name, factor.side == "likelihood", plate, density.data.get(factor.name))
         (unaries if len(plate.rows[0]) == 1 else pairs).append(term)
     prior = _by_node(predictions[name], log_weights)
-    proposals = _given_prediction(space.space, prior, density.proposals) if density.proposals else ()
+    proposals = _with_prediction(space.space, prior, density.proposals) if density.proposals else ()
     if normals is not None:
         prior, proposals = sized_mixture(prior, normals), tuple(sized_mixture(mixture, normals) for mixture in proposals)
     rest = replace(density, factors=tuple(joint_factors))
@@ -99,13 +99,13 @@ def parts_graph(density: Density, user: str = "the kernel 'particle_bp'") -> Gra
     )
 
 
-def _given_prediction(space: Space, prior: Mixture, detections: tuple[Mixture, ...]) -> tuple[Mixture, ...]:
-    """Return detections given a wide normal prediction of their nodes: nobody detects how a limb is turned about its axis."""
+def _with_prediction(space: Space, prior: Mixture, detections: tuple[Mixture, ...]) -> tuple[Mixture, ...]:
+    """Return detections combined with a wide normal prediction of their nodes: nobody detects how a limb is turned about its axis."""
     # Any draws will do: where to look is no term of the density.
     points = prior.sample(jax.random.key(0), PREDICTED)
     equal = jnp.full(PREDICTED, 1 / PREDICTED, points.dtype)
     predictions = jax.vmap(lambda drawn: fit(space, equal, drawn, WIDER))(points)
-    return tuple(mixture.given(predictions) for mixture in detections)
+    return tuple(mixture.combine(predictions) for mixture in detections)
 
 
 def _is_size(space: Space, nodes: PlateSpace) -> bool:

@@ -73,7 +73,7 @@ class PointAndAxis:
         of_axis = kappa * (cosine - 1) + jnp.log(2 * kappa) - jnp.log(-jnp.expm1(-2 * kappa))
         return normal + of_axis - math.log(8 * math.pi**2)
 
-    def given(self, prediction: TangentNormal) -> tuple[TangentNormal, Scalar]:
+    def combine(self, prediction: TangentNormal) -> tuple[TangentNormal, Scalar]:
         """Return a prediction of the transform given that its point is at the place, and the log-density of that; both to first order.
 
         The axis is not read: use it where the direction is unknown.
@@ -81,13 +81,13 @@ class PointAndAxis:
         x = prediction.mean
         miss = self.place - rigid.apply(x, self.point)
         # A small rotation vector w in the part's frame moves the point by R (w × o).
-        across = jnp.stack([rotations.rotate(rigid.quaternion(x), jnp.cross(unit, self.point)) for unit in jnp.eye(3, dtype=x.dtype)], axis=1)
-        slope = jnp.concatenate([jnp.eye(3, dtype=x.dtype), across], axis=1)
+        levers = jnp.stack([rotations.rotate(rigid.quaternion(x), jnp.cross(unit, self.point)) for unit in jnp.eye(3, dtype=x.dtype)], axis=1)
+        slope = jnp.concatenate([jnp.eye(3, dtype=x.dtype), levers], axis=1)
         covariance = prediction.root @ prediction.root.T
-        both = slope @ covariance @ slope.T + jnp.diag(self.sd_m**2)
-        gain = jnp.linalg.solve(both, slope @ covariance).T
+        total = slope @ covariance @ slope.T + jnp.diag(self.sd_m**2)
+        gain = jnp.linalg.solve(total, slope @ covariance).T
         mean = jnp.asarray(prediction.space.retract(x, gain @ miss))
-        return tangent_normal(prediction.space, mean, symmetric(covariance - gain @ slope @ covariance)), log_normal(miss, both)
+        return tangent_normal(prediction.space, mean, symmetric(covariance - gain @ slope @ covariance)), log_normal(miss, total)
 
 
 def _unit(v: Array) -> Array:

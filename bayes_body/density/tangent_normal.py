@@ -52,17 +52,17 @@ class TangentNormal:
         log_densities = normal - jnp.asarray(self.space.log_measure(v)) - 0.5 * v.shape[-1] * math.log(2 * math.pi)
         return log_densities[0] if log_densities.shape == (1,) else jax.nn.logsumexp(log_densities)
 
-    def given(self, prediction: "TangentNormal") -> "tuple[TangentNormal, Scalar]":
+    def combine(self, prediction: "TangentNormal") -> "tuple[TangentNormal, Scalar]":
         """Return the product with a prediction of the same value, normalised, and the log of its integral; both to first order.
 
         What this distribution leaves open, such as the turn of a limb about its axis, then follows the prediction.
         """
-        away = jnp.asarray(self.space.local(self.mean, prediction.mean))
+        offset = jnp.asarray(self.space.local(self.mean, prediction.mean))
         covariance = self.root @ self.root.T
-        both = covariance + prediction.root @ prediction.root.T
-        gain = jnp.linalg.solve(both, covariance).T
-        mean = jnp.asarray(self.space.retract(self.mean, gain @ away))
-        return tangent_normal(self.space, mean, symmetric(covariance - gain @ covariance)), log_normal(away, both)
+        total = covariance + prediction.root @ prediction.root.T
+        gain = jnp.linalg.solve(total, covariance).T
+        mean = jnp.asarray(self.space.retract(self.mean, gain @ offset))
+        return tangent_normal(self.space, mean, symmetric(covariance - gain @ covariance)), log_normal(offset, total)
 
 
 def log_normal(v: Float[Array, " dimension"], covariance: Float[Array, "dimension dimension"]) -> Scalar:

@@ -224,7 +224,7 @@ def compiled_ahead(session: Session, model: Model, kernel: Kernel, particles: in
             key, start = layout.place((jax.random.key(0), model.start(particles)))
             placed = replace(model, transition=layout.place(model.transition), factors=layout.place(model.factors))
             proposer = proposer_for(session, model, kernel)
-            proposals = () if proposer is None else layout.place(proposer.nothing())
+            proposals = () if proposer is None else layout.place(proposer.empty())
             density = placed.density(layout.place(model.observe(read_frame(session, 0))), start, proposals)
             form = form_of(layout, key, start, density)
             if (known := _known(kernel, form)) is not None:

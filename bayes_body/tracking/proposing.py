@@ -32,7 +32,7 @@ class Proposer:
         """
         return proposals_of(detect(self.session, frame, self.detectors), self.body, self._frames)
 
-    def nothing(self) -> Proposed:
+    def empty(self) -> Proposed:
         """Return the proposals of a frame in which nothing is detected: they have the form of all others."""
         return proposals_of(Detected({}, {}, None, (), {}), self.body, self._frames)
 

@@ -61,7 +61,7 @@ def test_a_prediction_whose_point_is_at_the_place():
 
     @jax.jit
     def ratios(seen, predicted):
-        chosen, log_integral = seen.given(predicted)
+        chosen, log_integral = seen.combine(predicted)
         x = jax.vmap(chosen.sample)(jax.random.split(jax.random.key(2), 500))
         log_density = jax.vmap(lambda x: seen.log_prob(x) + predicted.log_prob(x) - chosen.log_prob(x))(x)
         return log_density - log_integral + math.log(8 * math.pi**2)

@@ -136,7 +136,7 @@ def test_what_a_prediction_leaves_of_a_normal():
     means = rng.normal(size=(2, 2))
     seen, predicted = (tangent_normal(plane, *(jnp.asarray(each, jnp.float32) for each in pair)) for pair in zip(means, covariances, strict=True))
     points = jnp.asarray(rng.normal(size=(20, 2)), jnp.float32)
-    product, log_integral = jax.jit(lambda seen, predicted: seen.given(predicted))(seen, predicted)
+    product, log_integral = jax.jit(lambda seen, predicted: seen.combine(predicted))(seen, predicted)
     log_densities = jax.jit(lambda normal: jax.vmap(normal.log_prob)(points))
     np.testing.assert_allclose(log_densities(product) + log_integral, log_densities(seen) + log_densities(predicted), atol=1e-3)
 
@@ -147,7 +147,7 @@ def test_an_unknown_turn_follows_the_prediction():
     turn = Rotation.from_euler("z", 100, degrees=True).as_quat(scalar_first=True)
     seen = tangent_normal(SE3(), jnp.asarray([0.1, 0, 0, 1, 0, 0, 0], jnp.float32), jnp.asarray(np.diag(sd**2), jnp.float32))
     predicted = tangent_normal(SE3(), jnp.asarray([0, 0, 0, *turn], jnp.float32), jnp.asarray(np.diag([0.1] * 6) ** 2, jnp.float32))
-    chosen, _ = jax.jit(lambda seen, predicted: seen.given(predicted))(seen, predicted)
+    chosen, _ = jax.jit(lambda seen, predicted: seen.combine(predicted))(seen, predicted)
     away = np.degrees(Rotation.from_quat(np.asarray(chosen.mean[3:], float), scalar_first=True).as_rotvec())
     np.testing.assert_allclose(away, [0, 0, 100 * 1.44 / 1.45], atol=0.1)
     np.testing.assert_allclose(chosen.mean[:3], [0.1 * 0.01 / 0.0104, 0, 0], atol=1e-4)

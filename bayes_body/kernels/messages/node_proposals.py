@@ -99,15 +99,16 @@ def proposals(
     no_share = jnp.zeros(graph.count, beliefs.points.dtype)
     mixtures = [no_share if graph.prior is None else graph.prior.exists, *(mixture.exists for mixture in graph.proposals)]
     remainder = 1 - beliefs.ready if is_sole_proposal else jnp.ones_like(no_share)
-    others = [
+    other_shares = [
         remainder * shares.messages * (degree > 0),
         remainder * shares.prior * mixtures[0],
         (1.0 if is_sole_proposal else shares.fit) * beliefs.ready,
     ]
     detected = first_shares(graph, shares) if detections is None else detections
     detected = [remainder * share * exists for share, exists in zip(detected.T, mixtures[1:], strict=True)]
-    rest = (1 - sum(detected, no_share)) / jnp.maximum(sum(others, no_share), 1e-30)
-    table = jnp.stack([jnp.asarray(part, no_share.dtype) for part in (rest * others[0], rest * others[1], *detected, rest * others[2])], axis=1)
+    remaining = (1 - sum(detected, no_share)) / jnp.maximum(sum(other_shares, no_share), 1e-30)
+    of_messages, of_prior, of_fit = (remaining * share for share in other_shares)
+    table = jnp.stack([jnp.asarray(part, no_share.dtype) for part in (of_messages, of_prior, *detected, of_fit)], axis=1)
     # If no part that a node has gets a share, its first particles come from prior and detections.
     begin = jnp.stack([no_share, *(jnp.asarray(exists, no_share.dtype) for exists in mixtures), no_share], axis=1)
     table = jnp.where(jnp.sum(table, axis=1, keepdims=True) > 0, table, begin)
