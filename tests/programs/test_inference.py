@@ -125,6 +125,18 @@ def test_a_track_that_starts_from_the_pictures_comes_back_after_black_frames(run
 
 @pytest.mark.long
 @pytest.mark.usefixtures("optimised")
+def test_a_track_with_detectors_beside_one_without(run, stride, tmp_path):
+    program, out = PAPERS / "sigal_2011" / "detectors.py", tmp_path / "figures.json"
+    quick = ("--detectors", "none", "silhouettes", "--seeds", 0, "--frames", 2, "--particles", 40, "--iterations", 3)
+    done = run(program, "--session", stride, "--json", out, *quick)
+    assert done.status == 0, done.err
+    without, detected = json.loads(out.read_text())["rows"]
+    assert (without["detectors"], detected["detectors"]) == ("none", "silhouettes")
+    assert without["share"] == 0 < detected["share"] and min(without["error_mm"], detected["error_mm"]) > 0
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("optimised")
 def test_image_motion_beside_the_prior_alone_and_with_edges(run, tmp_path):
     """The prior ends where it likes; the overlays of all three tracks are there. prior_only says the same of the film."""
     done = run(PAPERS / "sidenbladh_2000" / "image_motion.py", "--path", "circle", "--out", tmp_path, "--json", tmp_path / "figures.json", "--quick")

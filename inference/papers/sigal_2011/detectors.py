@@ -66,6 +66,11 @@ def with_cameras(session, count: int | None):
     return dataclasses.replace(session, views=session.views[:count], initial_keypoints=known or None)
 
 
+def known(figure: float) -> float | None:
+    """Return a figure; None if it is not known, for which JSON has no number."""
+    return float(figure) if np.isfinite(figure) else None
+
+
 def figures_of(session, draws, cpu: list[float], first: int = 0) -> dict[str, Any]:
     """Return the figures of one track, of the frames from `first` on."""
     of_track, error = track_figures(session, draws)
@@ -76,14 +81,14 @@ def figures_of(session, draws, cpu: list[float], first: int = 0) -> dict[str, An
     still_moving = np.cumsum((moved > SETTLED)[:, ::-1], axis=1) > 0
     shares = np.stack([figures["proposal_shares"][:, 2] for figures in told])
     return {
-        "error_mm": float(1000 * error[first:].mean()),
-        "coverage": float("nan") if against is None or first else float(against.plain.coverage[-1]),
+        "error_mm": known(1000 * error[first:].mean()),
+        "coverage": None if against is None or first else known(against.plain.coverage[-1]),
         "iterations": 1 + float(still_moving.sum(axis=1).mean()),
         "belief_ess": float(np.mean([figures["belief_ess"] for figures in told])),
         "share": float(shares.mean()),
         "log_evidence": float(np.mean([np.asarray(frame.info.log_evidence)[0] for frame in frames])),
         "lost": sum(frame.lost for frame in frames),
-        "cpu_s": (cpu[-1] - cpu[0]) / (len(cpu) - 1) if len(cpu) > 1 else float("nan"),
+        "cpu_s": (cpu[-1] - cpu[0]) / (len(cpu) - 1) if len(cpu) > 1 else None,
         "shares": {name: round(float(share), 4) for name, share in zip(draws.model.body.placement.names, shares.mean(axis=0), strict=True)},
         "errors_mm": of_track["errors_mm"][first:],
     }
