@@ -9,8 +9,10 @@ import numpyro.distributions as dist
 import pytest
 import ten_mixtures
 import true_mean
+from control_variates import steadied
 from five_walks import WALKS, side_camera
 from papers.test_estimator_variance import POSE, _density
+from scipy.special import digamma
 
 from bayes_body.base.errors import InputError
 from bayes_body.density.density import Density
@@ -105,3 +107,18 @@ def test_mixtures_in_the_file_are_not_measured_again(tmp_path):
 def test_the_camera_sees_the_same_with_more_pixels():
     (camera,) = side_camera().cameras
     assert camera.size_px == (1280, 960) and camera.focal_px == (1200.0, 1200.0) and camera.centre_px == (639.5, 479.5)
+
+
+def test_gradients_take_the_noise_out_of_a_mean_and_no_bias_in():
+    """A skewed posterior: y is the logarithm of a gamma variable. Its mean is the digamma function's value."""
+    rng, shape = np.random.default_rng(0), 3.0
+    plain, steady = [], []
+    for _ in range(100):
+        runs = [np.log(rng.gamma(shape, size=(400, 1))) for _ in range(2)]
+        found = steadied(runs, runs, [shape - np.exp(y) for y in runs])
+        plain += [y.mean() for y in runs]
+        steady += [values.mean() for values in found]
+    assert np.std(steady) < np.std(plain) / 5
+    assert abs(np.mean(steady) - digamma(shape)) < 4 * np.std(steady) / np.sqrt(len(steady))
+    # A draw at which the density has no slope leaves the means as they are.
+    assert np.array_equal(steadied(runs, runs, [np.full_like(y, np.nan) for y in runs])[0], runs[0])
