@@ -2,6 +2,8 @@
 
 from types import SimpleNamespace
 
+import computation_curve
+import cv2
 import equal_computation as ev
 import jax
 import jax.numpy as jnp
@@ -119,3 +121,23 @@ def test_the_cost_of_a_gradient_is_the_ratio_of_the_shortest_times(target, monke
     ticks = np.cumsum([step for seconds in (*gradients[::-1], *values) for step in (0.0, seconds)])
     monkeypatch.setattr(ev, "time", SimpleNamespace(perf_counter=iter(ticks.tolist()).__next__))
     assert ev.gradient_cost(target[0]) == pytest.approx(3.0)
+
+
+def test_errors_fall_with_computation_as_those_of_independent_draws(tmp_path):
+    """Means of n draws have an error² of 1/n in units of the posterior's variance; their standard error is that of a chi-squared mean."""
+    rng, runs, draws, sd, names = np.random.default_rng(3), 400, (10, 40), np.array([0.5, 1.0, 2.0, 1.0]), computation_curve.SHOWN
+    truth = true_mean.Truth(np.array([0.3, -1.0, 0.0, 2.0]), sd, np.zeros(4), 1e6)
+
+    def means_of(count):
+        return ev.Runs(truth.mean + sd * rng.normal(size=(runs, 4)) / np.sqrt(count), 2.0 * count, 1.0)
+
+    equals = [ev.Equal(means_of(count), {"evaluations": means_of(count / 5)}, {"evaluations": 3 * count}, 1.5) for count in draws]
+    curve = computation_curve.curve_of(equals, truth)
+    assert curve.evaluations.tolist() == [30, 120] and curve.hmc.shape == curve.sir.shape == (2, 2, 4)
+    for errors, counts in ((curve.hmc, np.array(draws)), (curve.sir, np.array(draws) / 5)):
+        wanted = np.repeat(1 / counts[:, None], 4, axis=1)
+        standard_error = wanted * np.sqrt(2 / runs)
+        assert np.all(np.abs(errors[0] - wanted) < 5 * standard_error)
+        np.testing.assert_allclose(errors[1], standard_error, rtol=0.4)
+    computation_curve.draw_curve(tmp_path / "curve.png", names, curve)
+    assert cv2.imread(str(tmp_path / "curve.png")).std() > 10
