@@ -66,7 +66,7 @@ def draw_curve(path: Path, names: Sequence[str], curve: Curve) -> None:
             axes.errorbar(curve.evaluations, mean, yerr=[np.minimum(error, 0.9 * mean), error], **style)
         axes.set(xscale="log", yscale="log", title=name, xlabel="evaluations of a run")
         axes.minorticks_off()
-        axes.set_xticks(curve.evaluations, [f"{count / 1000:.0f}k" for count in curve.evaluations])
+        axes.set_xticks(curve.evaluations, [f"{count / 1000:.3g}k" for count in curve.evaluations])
     figure.axes[0].set_ylabel("error² of the mean /\nvariance of the posterior")
     figure.axes[0].legend(fontsize="small")
     with replacing(path) as partial:
