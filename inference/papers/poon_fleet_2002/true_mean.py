@@ -178,6 +178,8 @@ def true_mean_by_tempering(
 ) -> Truth:
     """Estimate the mean by groups of chains that begin among particles of tempered runs; each half of the groups is a run.
 
+    As for `true_mean_by_chains`, gradients take noise out of the means, and R-hat is that of the draws themselves.
+
     Args:
         key: for all groups.
         density: the frame's density.
@@ -190,18 +192,21 @@ def true_mean_by_tempering(
     options = OPTIONS | {"starts_by": "tempering", "starts": particles, "burn_in": min(max(draws // 2, FEWEST), LONGEST_BURN_IN)}
     sample = build_sampler(chains=chains, **options)
 
-    @jax.jit
-    def group(key: Key, density: Density) -> tuple[Array, Array, Array]:
-        drawn, info = sample(key, density, chains * draws)
-        pose = drawn.states["pose"]
-        return info.log_evidence, pose.mean(axis=0), (pose**2).mean(axis=0)
-
-    drawn = [jax.device_get(group(jax.random.fold_in(key, number), density)) for number in watch(range(groups))]
-    every = Groups(*(np.array(column, float) for column in zip(*drawn, strict=True)))
-    halves = [Groups(*(column[side::2] for column in every)) for side in range(2)]
-    (first, _, _), (second, _, _) = (half.pooled() for half in halves)
-    mean, variance, _ = every.pooled()
-    return Truth(mean, np.sqrt(variance), (first - second) ** 2, every.effective / 2, "tempering", group_rhat(every))
+    group = jax.jit(lambda key, density: sample(key, density, chains * draws))
+    drawn = [group(jax.random.fold_in(key, number), density) for number in watch(range(groups))]
+    log_evidence = np.array([float(info.log_evidence) for _, info in drawn])
+    poses = [np.asarray(particles.states["pose"], float) for particles, _ in drawn]
+    gradients = [jax.device_get(positions_and_scores(particles.states, density)) for particles, _ in drawn]
+    # Groups take turns between the halves.
+    halves = [[np.concatenate(arrays[side::2]) for side in range(2)] for arrays in (poses, *zip(*gradients, strict=True))]
+    steady = [of_half.reshape(-1, *poses[0].shape).mean(axis=1) for of_half in steadied(*halves)]
+    squares = np.array([(pose**2).mean(axis=0) for pose in poses])
+    every = Groups(log_evidence, np.array([pose.mean(axis=0) for pose in poses]), squares)
+    (first, _, _), (second, _, _) = (Groups(log_evidence[side::2], steady[side], squares[side::2]).pooled() for side in range(2))
+    means = np.empty_like(every.means)
+    means[0::2], means[1::2] = steady
+    sd = np.sqrt(every.pooled()[1])
+    return Truth(every.share @ means, sd, (first - second) ** 2, every.effective / 2, "tempering", group_rhat(every))
 
 
 def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False, starts: int = STARTS) -> Truth:
