@@ -125,7 +125,8 @@ def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32
     """
     sample = build_sampler(chains=chains, starts=starts, burn_in=min(max(draws // 2, FEWEST), LONGEST_BURN_IN), **OPTIONS)
     run = jax.jit(lambda key, density: sample(key, density, chains * draws)[0].states)
-    states = [run(jax.random.fold_in(key, half), density) for half in watch(range(2))]
+    # Waited for, so that the bar tells what is done.
+    states = [jax.block_until_ready(run(jax.random.fold_in(key, half), density)) for half in watch(range(2))]
     poses = [np.asarray(of_half["pose"], float) for of_half in states]
     gradients = [jax.device_get(positions_and_scores(of_half, density)) for of_half in states]
     means = [of_half.mean(axis=0) for of_half in steadied(poses, *zip(*gradients, strict=True))]
@@ -193,7 +194,7 @@ def true_mean_by_tempering(
     sample = build_sampler(chains=chains, **options)
 
     group = jax.jit(lambda key, density: sample(key, density, chains * draws))
-    drawn = [group(jax.random.fold_in(key, number), density) for number in watch(range(groups))]
+    drawn = [jax.block_until_ready(group(jax.random.fold_in(key, number), density)) for number in watch(range(groups))]
     log_evidence = np.array([float(info.log_evidence) for _, info in drawn])
     poses = [np.asarray(particles.states["pose"], float) for particles, _ in drawn]
     gradients = [jax.device_get(positions_and_scores(particles.states, density)) for particles, _ in drawn]
