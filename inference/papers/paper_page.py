@@ -43,7 +43,7 @@ class Figure(BaseModel):
     @property
     def median(self) -> float | None:
         """The median of the values."""
-        return median(value.value for value in self.values) if self.values else None
+        return float(f"{median(value.value for value in self.values):.4g}") if self.values else None
 
     @computed_field
     @property
