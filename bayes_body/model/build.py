@@ -101,8 +101,8 @@ class Model:
             previous: the particles of the previous frame; by default one particle, the initial state.
             proposals: where to look for the parts of the body (`Density.proposals`).
         """
-        before = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), self._equal(1)) if previous is None else previous
-        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), before, proposals)
+        last = Particles(jax.tree.map(lambda leaf: leaf[None], dict(self.initial)), self._equal(1)) if previous is None else previous
+        return Density(self.transition, self.factors, jax.tree.map(jnp.asarray, observation), last, proposals)
 
     def kernel(self, kind: str | None = None, /, **changes: Any) -> NamedKernel:
         """Return the kernel of the definition, or the one that replaces it for a single camera, with single options changed.
@@ -242,8 +242,8 @@ def with_likelihoods(model: Model, name: str | Path | Definition) -> Model:
     definition = name if isinstance(name, Definition) else load_definition(name)
     likelihoods, observers = _likelihoods(definition, model.body, model.rig)
     factors = [factor_with(factor, model.unknowns) for factor in likelihoods]
-    others = [factor for factor in model.factors if factor.side != "likelihood"]
-    return replace(model, factors=(*factors, *others), observers=observers)
+    prior_factors = [factor for factor in model.factors if factor.side != "likelihood"]
+    return replace(model, factors=(*factors, *prior_factors), observers=observers)
 
 
 def _transition(definition: Definition, body: Body, session: Session, gap: float) -> Transition:
