@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayes_body.density.kernel import Kernel
 from bayes_body.model.build import Model
 from bayes_body.recording.observation.frames import Frame
 from bayes_body.recording.session.session import Session
@@ -21,6 +22,7 @@ from bayes_body.results.posterior import mean_pose
 from bayes_body.results.posterior.weighted import settled
 from bayes_body.tracking.draws import Frames
 from bayes_body.tracking.observations import Observed, observations
+from bayes_body.tracking.proposing import proposer_for
 
 
 def follows_body(session: Session, model: Model) -> bool:
@@ -57,8 +59,15 @@ def near_body(session: Session, model: Model, filtered: Frames) -> Model:
     return replace(model, observers={name: seeing(observer) for name, observer in model.observers.items()})
 
 
-def observations_near_body(session: Session, model: Model, frames: range, filtered: Frames) -> Generator[Observed] | None:
+def observations_near_body(session: Session, model: Model, kernel: Kernel, frames: range, filtered: Frames) -> Generator[Observed] | None:
     """Yield the data of each frame, once the frame before is among `filtered`; None if the session does not ask for that.
+
+    Args:
+        session: the recording.
+        model: starts from the first pose.
+        kernel: computes the frames; one that takes proposals gets those of the detectors, which see all figures.
+        frames: the frames, counted from 0.
+        filtered: the frames of the filters, to which the caller adds each one when it is done.
 
     Raises:
         InputError: a frame cannot be read.
@@ -66,11 +75,11 @@ def observations_near_body(session: Session, model: Model, frames: range, filter
     # `track` refuses more frames than there are.
     if not follows_body(session, model) or frames.stop > session.frames:
         return None
-    seeing = near_body(session, model, filtered)
+    seeing, proposer = near_body(session, model, filtered), proposer_for(session, model, kernel)
 
     def arriving() -> Generator[Observed]:
         for index in frames:
-            with closing(observations(session, seeing, range(index, index + 1))) as frame:
+            with closing(observations(session, seeing, range(index, index + 1), proposer)) as frame:
                 yield from frame
 
     return arriving()

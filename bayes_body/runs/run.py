@@ -133,7 +133,7 @@ class BegunRun(NamedTuple):
         key = jax.random.key(self.seed)
         session, model, kernel = self.session, self.model, self.kernel
         if arriving is None:
-            arriving = observations_near_body(session, model, range(len(self.frames), wanted), self.frames)
+            arriving = observations_near_body(session, model, kernel, range(len(self.frames), wanted), self.frames)
         return track(key, session, model, kernel, self.particles, self.runs, wanted, on_frame, self.frames, self.program, recovery, arriving)
 
     def finish(self, session: Session, draws: Draws, show: Show, bar: bool, pictures: bool, live: Mapping[str, Any] | None = None) -> dict[str, Any]:

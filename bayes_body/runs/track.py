@@ -86,7 +86,8 @@ def track(
         if sentence:
             warnings.warn(sentence, RunWarning, stacklevel=2)
     with progress_bar(done=len(store)) if bar and on_frame is None else nullcontext(on_frame) as show:
-        arriving = observations_near_body(session, model, range(len(store), session.frames if frames is None else frames), store)
+        wanted = range(len(store), session.frames if frames is None else frames)
+        arriving = observations_near_body(session, model, model.kernel() if kernel is None else kernel, wanted, store)
         draws = tracking.track(key, session, model, kernel, particles, runs, frames, show, store, ahead, recovery, arriving)
     draws = replace(draws, warnings=tuple(run_sentences(session, draws, bar)))
     for sentence in draws.warnings:

@@ -112,7 +112,7 @@ def near_body(session):
 def mean_error_mm(session, model_name, frames, seed):
     """Track the session, and return the mean distance of the markers from the truth, mm."""
     model, store = bb.load_model(model_name, session, show=lambda _: None), []
-    arriving = observations_near_body(session, model, range(frames), store)
+    arriving = observations_near_body(session, model, model.kernel(), range(frames), store)
     draws = track(jax.random.key(seed), session, model, model.kernel(), frames=frames, into=store, arriving=arriving)
     return 1000 * float(draws_against_truth(session, draws).plain.frame_error.mean())
 

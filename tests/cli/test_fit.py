@@ -86,7 +86,7 @@ def inverse(motion):
     return np.concatenate([-motion[:3], -Rotation.from_rotvec(-motion[:3]).apply(motion[3:])])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("optimised")
 def test_cameras_move_back(cli, recording, tmp_path):
     session, motions = recording

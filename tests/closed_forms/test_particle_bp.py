@@ -43,7 +43,7 @@ ASTRAY = {"near": [0, 1, 2, 4, 5, 6, 7, 9], "astray": [2, 6]}
 
 @pytest.mark.parametrize(
     ("kind", "iterations", "detections"),
-    [("flooding", 6, {}), ("flooding", 6, ASTRAY), pytest.param("tree", 2, {}, marks=pytest.mark.long)],
+    [("flooding", 6, {}), pytest.param("flooding", 6, ASTRAY, marks=pytest.mark.long), pytest.param("tree", 2, {}, marks=pytest.mark.long)],
 )
 def test_a_gaussian_chain_is_exact(kind, iterations, detections):
     means, variances, evidence, efficiency = chain_scores(200, 30, kind, detections, iterations=iterations)

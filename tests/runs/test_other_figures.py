@@ -72,6 +72,6 @@ def test_the_body_of_the_frame_before_says_whose_a_figure_is(sessions):
 def test_who_does_not_ask_for_it_sees_all(sessions):
     session = dataclasses.replace(sessions[1], segmentation=Segmentation())
     model = build_model("arm_silhouette", session)
-    assert near_body(session, model, []) is model and observations_near_body(session, model, range(2), []) is None
+    assert near_body(session, model, []) is model and observations_near_body(session, model, model.kernel(), range(2), []) is None
     with pytest.raises(InputError, match="frames: 1000"):
         track(jax.random.key(0), sessions[1], model, model.kernel("sir", particles=20), frames=1000)

@@ -15,7 +15,8 @@ from bayes_body.base.registry import forget, register
 from bayes_body.density.kernel import FilterInfo, NamedKernel
 from bayes_body.model.build import build_model
 from bayes_body.model.definition import load_definition, parse_definition
-from bayes_body.recording.session.session import Session, Subject, View
+from bayes_body.recording.session.session import Segmentation, Session, Subject, View
+from bayes_body.runs.track import track as track_session
 from bayes_body.tracking.proposing import proposer_for
 from bayes_body.tracking.track import track
 
@@ -48,6 +49,7 @@ def named_kernel():
     forget([("kernel", "to_first_proposal")])
 
 
+@pytest.mark.filterwarnings("ignore::bayes_body.base.errors.RunWarning")
 def test_a_detected_part_reaches_the_tracked_frame(session, named_kernel):
     definition = load_definition("loose_limbed_15")
     model = build_model(replace(definition, detectors=("silhouettes",)), session)
@@ -59,6 +61,10 @@ def test_a_detected_part_reaches_the_tracked_frame(session, named_kernel):
     assert np.linalg.norm(first[torso, :2]) < 0.1 and 0.8 < first[torso, 2] < 1.1
     # Nobody is seen in the second frame: its proposals have the same form, without weight.
     np.testing.assert_array_equal(first, second)
+    # A frame that is read only when the one before is done has proposals, too.
+    by_body = replace(session, segmentation=Segmentation(figures="near_body"))
+    followed = track_session(jax.random.key(0), by_body, build_model(model.definition, by_body), named_kernel, particles=2)
+    np.testing.assert_array_equal(np.asarray(followed.frames[1].states["parts"], float)[0, 0], second)
 
 
 def test_only_kernels_that_take_proposals_wait_for_detectors(session, named_kernel):

@@ -42,7 +42,8 @@ def _remedy(diagnosis: Diagnosis, *wanted: str, moves_help: bool = True) -> str:
         option_names, instead = set(kernel.options.model_fields), kernel.instead
     except InputError:
         option_names, instead = {"particles"}, ""
-    raised = " or ".join(f"--{name}" for name in wanted if name in option_names)
+    # Every kernel takes --particles, even one that has no such option of its own.
+    raised = " or ".join(f"--{name}" for name in wanted if name in option_names) or "--particles"
     if diagnosis.smoothed:
         has_moves = moves_help and diagnosis.joint is None
         return f"{'smooth with more --moves, or ' if has_moves else ''}smooth a run with more {raised}"

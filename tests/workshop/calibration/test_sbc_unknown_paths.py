@@ -147,7 +147,7 @@ def test_gaussian_smoothing_is_calibrated_for_unknowns(arm, retention):
     ("retention", "replications"),
     [
         pytest.param(DRIFTING, 400, id="drifting", marks=pytest.mark.long),
-        pytest.param(STATIC, 200, id="static", marks=pytest.mark.slow),
+        pytest.param(STATIC, 200, id="static", marks=pytest.mark.long),
         pytest.param(STATIC, 400, id="static, more", marks=pytest.mark.long),
     ],
 )

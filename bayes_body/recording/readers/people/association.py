@@ -17,7 +17,7 @@ BLOCK = 256
 type Exclusion = Callable[[Weights], Shares]
 
 
-class Presence(NamedTuple):
+class ExpectedBodies(NamedTuple):
     """A person's body in each frame from the first to the last, as it is known without the frame's detections."""
 
     first: int
@@ -46,30 +46,30 @@ class Association(NamedTuple):
 
 
 def associate(
-    cameras: Sequence[CameraSpec], people: Sequence[Sequence[People]], presences: Sequence[Presence], exclude: Exclusion
+    cameras: Sequence[CameraSpec], people: Sequence[Sequence[People]], expected_bodies: Sequence[ExpectedBodies], exclude: Exclusion
 ) -> list[Association]:
     """Return the association of everybody.
 
     Args:
         cameras: calibrated, without motion.
         people: for each frame and camera.
-        presences: of everybody.
+        expected_bodies: of everybody.
         exclude: the shares of people who exclude each other, from their weights.
     """
-    associations = [_of_nobody(people[presence.first : presence.first + len(presence.bodies)]) for presence in presences]
+    associations = [_of_nobody(people[person.first : person.first + len(person.bodies)]) for person in expected_bodies]
     for start in range(0, len(people), BLOCK):
         block = range(start, min(start + BLOCK, len(people)))
-        present = [i for i, presence in enumerate(presences) if presence.first < block.stop and presence.first + len(presence.bodies) > start]
+        present = [i for i, person in enumerate(expected_bodies) if person.first < block.stop and person.first + len(person.bodies) > start]
         if not present:
             continue
-        expected = np.stack([presences[i].within(block) for i in present], axis=1)
+        expected = np.stack([expected_bodies[i].within(block) for i in present], axis=1)
         for c, camera in enumerate(cameras):
             groups = [people[frame][c] for frame in block]
             for rows in _of_like_counts(groups):
                 shares, misfits = _compared(camera, expected[rows], [groups[row] for row in rows], exclude)
                 for k, i in enumerate(present):
                     for j, row in enumerate(rows):
-                        associations[i].take(block[row] - presences[i].first, c, shares[j, k], misfits[j, k])
+                        associations[i].take(block[row] - expected_bodies[i].first, c, shares[j, k], misfits[j, k])
     return associations
 
 
@@ -78,7 +78,7 @@ def _of_nobody(people: Sequence[Sequence[People]]) -> Association:
 
 
 def _of_like_counts(groups: Sequence[People]) -> list[list[int]]:
-    """The places of the groups with some detections, those apart that are too large for the exact sum."""
+    """The places of the groups with some detections, in two lists: those that the exact sum can treat, and those that are too large for it."""
     counts = [len(group) for group in groups]
     small, large = ([row for row, count in enumerate(counts) if low < count <= high] for low, high in ((0, MOST_EXACT), (MOST_EXACT, np.inf)))
     return [rows for rows in (small, large) if rows]
@@ -94,6 +94,6 @@ def _compared(
     offsets, sizes = offsets_px(camera, expected, padded), sizes_of(padded)
     misfits = distances_of_offsets(offsets, sizes)
     possible = np.isfinite(misfits)
-    # Where nothing can be compared any numbers do.
+    # Where nothing can be compared, the numbers have no effect.
     weights = weights_of(np.where(possible[..., None], offsets, 0.0), np.where(sizes > 0, sizes, 1.0), float(np.prod(camera.size_px)))
     return exclude(np.where(possible, weights, 0.0)), misfits

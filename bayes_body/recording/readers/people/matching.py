@@ -75,7 +75,8 @@ def agreeing(cameras: Sequence[CameraSpec], people: Sequence[People], places: Pl
     if len(cameras) == 1 or count < 2:
         return Match(places, body_of(cameras, people, places))
     misfits = list[float]()
-    for is_robust, limit in ((False, CLEARLY * SAME), (True, SAME))[is_doubtful:]:
+    attempts = [(True, SAME)] if is_doubtful else [(False, CLEARLY * SAME), (True, SAME)]
+    for is_robust, limit in attempts:
         body = body_of(cameras, people, places, is_robust)
         if body is None:
             return Match((None,) * len(places), None)

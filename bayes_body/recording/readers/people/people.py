@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from bayes_body.base.progress import Watch, unwatched
 from bayes_body.recording.readers.keypoints.person import People
-from bayes_body.recording.readers.people.association import Association, Exclusion, Presence, associate
+from bayes_body.recording.readers.people.association import Association, Exclusion, ExpectedBodies, associate
 from bayes_body.recording.readers.people.shares import joint_shares
 from bayes_body.recording.readers.people.tracks import Track, follow_people
 from bayes_body.recording.session.session import CameraSpec
@@ -69,8 +69,8 @@ def people_of(
     """
     tracks = follow_people(cameras, people, fps, watch)
     bodies = [_filled(track) for track in tracks]
-    presences = [Presence(track.first, _by_neighbours(body)) for track, body in zip(tracks, bodies, strict=True)]
-    associations = associate(cameras, people, presences, exclude)
+    expected_bodies = [ExpectedBodies(track.first, _by_neighbours(body)) for track, body in zip(tracks, bodies, strict=True)]
+    associations = associate(cameras, people, expected_bodies, exclude)
     persons = [_person(*arguments) for arguments in zip(tracks, bodies, associations, strict=True)]
     persons.sort(key=lambda person: (-person.pictures, person.first))
     return [person._replace(number=number) for number, person in enumerate(persons, 1)]

@@ -6,8 +6,9 @@ $$w_{pk} = \frac{1 - \mu}{\mu} \prod_m \left[ (1 - \epsilon) \frac{t_\nu(d_{pkm}
 
 for p, relative to p not being detected, which happens with probability $\mu$. t is Student's density in the image, with a scale s that is a fraction
 of the person's size; b is the density of a point anywhere in the image. A network places the share $\epsilon$ of the keypoints anywhere. The M
-keypoints of a detection err together, so they count as n. The body is the mean of those before and after the frame: the detections of the frame
-itself, which the likelihood reads, do not count twice.
+keypoints of a detection err together, so they count as n. The body is the mean of those before and after the frame, so it hardly knows the frame's
+detections. The distances do: the likelihood compares the same detection with the pose once more, so that shares of similar detections are more
+decided than they should be. As constants of the frame they do not move the pose.
 
 People exclude each other, as a detection is of one person at most. There are two ways:
 

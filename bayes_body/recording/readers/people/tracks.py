@@ -136,7 +136,7 @@ def _separation(body: np.ndarray, rival: np.ndarray) -> float:
 
 
 def _is_over(track: Track, frame: int) -> bool:
-    """Whether a person is no longer in view, or was a ghost: not seen again in the frames that would have opened him."""
+    """Whether a person is no longer in view, or was a ghost: too few sightings to open a person."""
     return frame - track.last >= (CLOSED if len(track.bodies) >= OPENED else OPENED)
 
 
@@ -144,11 +144,11 @@ def _joined(tracks: Sequence[Track], fps: float) -> list[Track]:
     """Return the tracks with those of people who came back joined."""
     joined = list[Track]()
     for track in tracks:
-        predecessor = [person for person in joined if _came_back(person, track, fps)]
-        if not predecessor:
+        predecessors = [person for person in joined if _came_back(person, track, fps)]
+        if not predecessors:
             joined.append(track)
             continue
-        person = max(predecessor, key=lambda person: person.last)
+        person = max(predecessors, key=lambda person: person.last)
         person.bodies |= track.bodies
     return joined
 
