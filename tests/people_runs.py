@@ -33,7 +33,7 @@ def person_run(run: Path, parent: Path, number: int, frames: range, shifts=None,
     home = recording / "people" / f"person_{number}"
     home.mkdir(parents=True)
     session = tomllib.loads(document["session"]["text"])
-    session |= {"first_frame": first + frames.start, "frames": len(frames)}
+    session |= {"title": f"{session['title']}, person {number}", "first_frame": first + frames.start, "frames": len(frames)}
     session.pop("truth", None)
     for camera in session["camera"]:
         camera |= {key: str(Path("../..") / camera[key]) for key in FILES if key in camera}

@@ -120,7 +120,10 @@ class People:
     @cached_property
     def session(self) -> Session:
         """The recording from the first of these frames to the last: the session of the person who is there first, with all of the frames."""
-        return replace(min(self.persons, key=lambda person: person.frames.start).run.session, frames=len(self.frames))
+        first = min(self.persons, key=lambda person: person.frames.start)
+        session = first.run.session
+        # A person's session has the recording's title, and who it is (readers/people/files.py).
+        return replace(session, title=session.title.removesuffix(f", {first.label}"), frames=len(self.frames))
 
     @property
     def fps(self) -> float:

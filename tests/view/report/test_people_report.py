@@ -31,6 +31,8 @@ def test_the_page(runs, draw_pictures, parse, capsys):
     path = study / "people.html"
     assert stopped.value.code == 0 and capsys.readouterr().out.startswith(f"{path}: ")
     page = parse(path.read_text(encoding="utf-8"))
+    # The title is that of the recording, not of a person of it.
+    assert ", person 1: 2 people" not in page.text
     assert "2 people in the frames 0 to 39, 60 a second" in page.text and "0 to 29" in page.text and "10 to 39" in page.text
     # Both are the same arm: this is no crossing of two people.
     assert "Person 1 and person 2 may be one person who was tracked twice: in frames 10 to 29" in page.text
