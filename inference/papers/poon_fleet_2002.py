@@ -63,7 +63,7 @@ def variance(case: Case) -> Mapping[str, Values]:
         },
         "truth": {
             "R-hat of long chains": settings["truth_rhat"],
-            "difference of two long runs / error² of hmc": settings["truth_difference"],
+            "variance of a long run / error² of hmc": settings["truth_noise"],
         },
         "more_computation": {"ratio with the most draws / ratio with the fewest": ratios[-1] / ratios[0]},
     }

@@ -22,7 +22,7 @@ FIGURES = {
     "ratio_median": 60.0,
     "ratio_interval": (30.0, 95.0),
     "per_dof": {"hip": [70.0, 50.0, 90.0], "knee": [1.1, 0.8, 1.4]},
-    "settings": {"truth_by": "tempering", "truth_rhat": 1.004, "truth_difference": 0.02, "truth_converged": True, "truth_effective": 900.0},
+    "settings": {"truth_by": "tempering", "truth_rhat": 1.004, "truth_noise": 0.02, "truth_converged": True, "truth_effective": 900.0},
 }
 SETTINGS = {"model": "legs_by_phase", "runs": 10}
 
@@ -85,7 +85,7 @@ def test_a_row_names_the_worst_dof_and_whether_the_truth_is_known():
     row = ten_mixtures.row_of(WALKS[3], 10, FIGURES)
     assert (row["walk"], row["held_out"], row["worst_dof"], row["worst_ratio"], row["worst_interval"]) == ("35_01", True, "knee", 1.1, [0.8, 1.4])
     assert row["truth_known"]
-    doubtful = ten_mixtures.row_of(WALKS[0], 20, FIGURES | {"settings": FIGURES["settings"] | {"truth_difference": 0.2}})
+    doubtful = ten_mixtures.row_of(WALKS[0], 20, FIGURES | {"settings": FIGURES["settings"] | {"truth_noise": 0.2}})
     assert not doubtful["truth_known"]
     table = ten_mixtures.table([row, doubtful])
     assert "35_01*" in table and "knee 1.1 (0.8-1.4)" in table and "the truth is known in 1 of 2" in table

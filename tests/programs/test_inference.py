@@ -221,7 +221,7 @@ def test_estimator_variance_quick(run, one_camera, tmp_path):
         assert all(low <= ratio <= high for ratio, low, high in row["per_dof"].values())
         assert min(row["seconds_hmc"], row["seconds_sir"], row["evaluations_hmc"], row["evaluations_sir"]) > 0
     assert found["settings"]["hmc"]["leapfrog_steps"] == 10 and found["settings"]["runs"] == 4 and found["settings"]["gradient_cost"] > 0
-    assert found["settings"]["truth_by"] in ("hmc", "sir") and found["settings"]["truth_effective"] > 1 and found["settings"]["truth_difference"] >= 0
+    assert found["settings"]["truth_by"] in ("hmc", "sir") and found["settings"]["truth_effective"] > 1 and found["settings"]["truth_noise"] >= 0
     assert set(found["frames"]) == {"hmc, means", "hmc, draws", "sir", "truth_difference"}
     for of in (found["frames"][name] for name in ("hmc, means", "hmc, draws", "sir")):
         assert len(of["error"]) == 1 and all(error > 0 for error in of["error"])

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from true_mean import LARGEST_DIFFERENCE, OPTIONS
+from true_mean import OPTIONS
 
 from bayes_body.base.progress import Watch, unwatched, watched
 from bayes_body.base.shapes import Key
@@ -31,6 +31,8 @@ CHAINS, DRAWS, STARTS = 16, 1600, 20_000
 # For each of these chains: burn-in states, and states per draw.
 BURN_IN, THINNING = 100, 3
 BOOTSTRAPS = 1000
+# Largest squared difference of the truth's two runs, relative to the smallest error² of any filter.
+LARGEST_DIFFERENCE = 0.1
 
 
 class Paths(NamedTuple):

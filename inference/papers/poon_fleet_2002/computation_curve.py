@@ -42,8 +42,9 @@ def curve_of(equals: Sequence[Equal], truth: Truth) -> Curve:
     """Return the errors at each amount of computation."""
 
     def moments(runs: Runs) -> Float[np.ndarray, "2 dof"]:
-        squared = (runs.means - truth.mean) ** 2 / truth.sd**2
-        return np.stack([squared.mean(axis=0), squared.std(axis=0, ddof=1) / np.sqrt(len(squared))])
+        squared, noise = truth.squared_errors(runs.means) / truth.sd**2, truth.noise / truth.sd**2
+        # A mean below the noise of the truth is not known better than that.
+        return np.stack([np.maximum(squared.mean(axis=0), noise), squared.std(axis=0, ddof=1) / np.sqrt(len(squared))])
 
     hmc, sir = (np.stack([moments(runs) for runs in column], axis=1) for column in zip(*((e.hmc, e.sir["evaluations"]) for e in equals), strict=True))
     return Curve(np.array([equal.particles["evaluations"] for equal in equals], float), hmc, sir)

@@ -30,8 +30,8 @@ from bayes_body.results.posterior.agreement import split_rhat
 CHUNK = 50_000
 # Largest R-hat of chains that agree: Vehtari et al. (2021).
 LARGEST_RHAT = 1.01
-# Largest difference between the truth's two runs, relative to the smallest error² that is reported.
-LARGEST_DIFFERENCE = 0.1
+# Largest variance of the mean of one of the truth's two runs, relative to the smallest error² that is reported.
+LARGEST_NOISE = 0.1
 
 # Burn-in of a long chain: half as many states as draws, up to this limit.
 LONGEST_BURN_IN = 1000
@@ -47,21 +47,33 @@ class Truth(NamedTuple):
     """A posterior's mean, and how well it is known.
 
     Attributes:
-        mean: mean of each dof, radians and metres.
+        halves: mean of each dof by each of two independent runs, radians and metres.
         sd: standard deviation of each dof.
-        error: squared difference of the two runs' means.
+        noise: variance of the mean of a run, as its chains, groups or particles tell.
         effective: effective number of draws of each run.
         by: `sir`, `hmc` or `tempering`.
         rhat: largest split R-hat over the dofs and over the chains of both runs, even if sir was chosen; NaN if no chains ran. By tempering, it is
             that of groups of chains (`group_rhat`).
     """
 
-    mean: Float[np.ndarray, " dof"]
+    halves: Float[np.ndarray, "2 dof"]
     sd: Float[np.ndarray, " dof"]
-    error: Float[np.ndarray, " dof"]
+    noise: Float[np.ndarray, " dof"]
     effective: float
     by: str = "sir"
     rhat: float = float("nan")
+
+    @property
+    def mean(self) -> Float[np.ndarray, " dof"]:
+        """The mean of both runs."""
+        return self.halves.mean(axis=0)
+
+    def squared_errors(self, means: Float[np.ndarray, "run dof"]) -> Float[np.ndarray, "run dof"]:
+        """Return estimates of the squared errors of some means. On average they are right: noise of the truth does not add to them.
+
+        They are products of the deviations from both runs of the truth, whose errors are independent. So one of them may be negative.
+        """
+        return (means - self.halves[0]) * (means - self.halves[1])
 
     @property
     def converged(self) -> bool:
@@ -98,8 +110,8 @@ def true_mean(key: Key, density: Density, particles: int, watch: Watch = unwatch
         chunk_key = jax.random.fold_in(jax.random.fold_in(key, number % 2), number // 2)
         halves[number % 2].append(jax.device_get(chunk(chunk_key, density)))
     means, squares, effective = zip(*(_pooled(half) for half in halves), strict=True)
-    mean = np.mean(means, axis=0)
-    return Truth(mean, np.sqrt(np.mean(squares, axis=0) - mean**2), (means[0] - means[1]) ** 2, float(min(effective)))
+    variance = np.mean(squares, axis=0) - np.mean(means, axis=0) ** 2
+    return Truth(np.array(means), np.sqrt(variance), variance / min(effective), float(min(effective)))
 
 
 def _pooled(chunks: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray, float]:
@@ -129,11 +141,12 @@ def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32
     states = [jax.block_until_ready(run(jax.random.fold_in(key, half), density)) for half in watch(range(2))]
     poses = [np.asarray(of_half["pose"], float) for of_half in states]
     gradients = [jax.device_get(positions_and_scores(of_half, density)) for of_half in states]
-    means = [of_half.mean(axis=0) for of_half in steadied(poses, *zip(*gradients, strict=True))]
+    by_chain = np.array([of_half.reshape(chains, draws, -1).mean(axis=1) for of_half in steadied(poses, *zip(*gradients, strict=True))])
     halves, together = [pose.reshape(chains, draws, -1) for pose in poses], np.concatenate(poses)
     effective = min(float(np.min(effective_draws(jnp.asarray(half)))) for half in halves)
     rhat = float(np.nanmax(split_rhat(np.concatenate(halves)[None])))
-    return Truth(np.mean(means, axis=0), together.std(axis=0), (means[0] - means[1]) ** 2, effective, "hmc", rhat)
+    noise = by_chain.var(axis=1, ddof=1).mean(axis=0) / chains
+    return Truth(by_chain.mean(axis=1), together.std(axis=0), noise, effective, "hmc", rhat)
 
 
 class Groups(NamedTuple):
@@ -203,11 +216,10 @@ def true_mean_by_tempering(
     steady = [of_half.reshape(-1, *poses[0].shape).mean(axis=1) for of_half in steadied(*halves)]
     squares = np.array([(pose**2).mean(axis=0) for pose in poses])
     every = Groups(log_evidence, np.array([pose.mean(axis=0) for pose in poses]), squares)
-    (first, _, _), (second, _, _) = (Groups(log_evidence[side::2], steady[side], squares[side::2]).pooled() for side in range(2))
-    means = np.empty_like(every.means)
-    means[0::2], means[1::2] = steady
-    sd = np.sqrt(every.pooled()[1])
-    return Truth(every.share @ means, sd, (first - second) ** 2, every.effective / 2, "tempering", group_rhat(every))
+    sides = [Groups(log_evidence[side::2], steady[side], squares[side::2]) for side in range(2)]
+    noise = np.mean([side.pooled()[2] * np.sum(side.share**2) for side in sides], axis=0)
+    means = np.array([side.pooled()[0] for side in sides])
+    return Truth(means, np.sqrt(every.pooled()[1]), noise, every.effective / 2, "tempering", group_rhat(every))
 
 
 def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False, starts: int = STARTS) -> Truth:
