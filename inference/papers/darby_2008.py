@@ -16,7 +16,7 @@ from bayes_body.workshop.learning.activity_motions import captured
 sys.path.append(str(Path(__file__).with_suffix("")))
 from activity_graph import draw_activity
 from error_plot import draw_error_curves
-from few_cameras import GUIDED, PANELS, PLAIN, POSTERIOR, Followed, few_camera_definitions, follow
+from few_cameras import GUIDED, PANELS, PLAIN, POSTERIOR, Followed, few_camera_definitions, follow, prior_definitions
 from reproduce import Case, Experiment, Values, reproduce
 
 BODY = "person_31"
@@ -133,6 +133,17 @@ def one_camera_known(case: Case) -> Mapping[str, Values]:
     return {"one_camera_known": {"relative error, guided": mean_mm(track, "relative_m"), "absolute error, guided": mean_mm(track, "absolute_m")}}
 
 
+def priors(case: Case) -> Mapping[str, Values]:
+    """Three motion priors with one body, likelihood and kernel; two cameras."""
+    session, values = case.film("room_4", case.sizes["frames"], 2), dict[str, float]()
+    for name, definition in prior_definitions().items():
+        track = follow(session, definition, case.sizes["runs"], case.seed, None, case.sizes["particles"])
+        values[f"`{name}`: log-evidence"] = track.log_evidence
+        values[f"`{name}`: error"] = mean_mm(track, "absolute_m")
+        values[f"`{name}`: 90 % intervals that hold the truth"] = 100 * float(track.coverage_90.mean())
+    return {"priors": values}
+
+
 def activity(case: Case) -> Mapping[str, Values]:
     """The learned activity (Fig. 1)."""
     learned = load_activity()
@@ -156,6 +167,7 @@ EXPERIMENTS = (
     Experiment(("one_camera_known",), one_camera_known, SIZES, QUICK),
     Experiment(("posterior",), posterior, SIZES, QUICK),
     Experiment(("one_camera_posterior",), one_camera_posterior, SIZES, QUICK),
+    Experiment(("priors",), priors, {"frames": 60, "runs": 1, "particles": 500}, QUICK, costly=True),
 )
 
 if __name__ == "__main__":

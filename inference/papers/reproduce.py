@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -107,6 +108,8 @@ class Experiment(NamedTuple):
         sizes: how much is computed.
         quick: the smallest sizes with which it runs.
         facts: whether the result depends on no subject and no seed.
+        costly: whether the first subject is measured with the first seed only, the second with the second, and so on.
+        pairs: subjects and seeds of recordings that are no walks of the page's subjects.
     """
 
     rows: tuple[str, ...]
@@ -114,13 +117,16 @@ class Experiment(NamedTuple):
     sizes: Mapping[str, Any] = {}
     quick: Mapping[str, Any] = {}
     facts: bool = False
+    costly: bool = False
+    pairs: Sequence[tuple[str, int]] = ()
 
     def cases(self, quick: bool, subjects: Sequence[str], seeds: Sequence[int]) -> Iterator[tuple[str | None, int | None]]:
         """Yield subjects and seeds; with `quick`, the first of each."""
         if self.facts:
             yield None, None
             return
-        yield from [(subject, seed) for subject in subjects[: 1 if quick else None] for seed in seeds[: 1 if quick else None]]
+        pairs = self.pairs or list(zip(subjects, cycle(seeds)) if self.costly else product(subjects, seeds))
+        yield from pairs[: 1 if quick else None]
 
 
 def parse(paper: str, experiments: Sequence[Experiment]) -> argparse.Namespace:
@@ -189,7 +195,7 @@ def measure(page: Page, experiments: Sequence[Experiment], arguments: argparse.N
             show(done, f"{experiment.rows[0]}, {subject or 'a fact'}{'' if seed is None else f', seed {seed}'}")
             if not arguments.again and all(is_measured(row, sizes, subject, seed) for row in rows):
                 continue
-            draws = experiment.facts or (subject, seed) == (arguments.subjects[0], arguments.seeds[0])
+            draws = experiment.facts or (subject, seed) == next(experiment.cases(quick, arguments.subjects, arguments.seeds))
             pictures = arguments.json.parent if draws else None
             values = experiment.measure(Case(subject, seed or 0, sizes, arguments.motions, arguments.work, pictures))
             for row in rows:

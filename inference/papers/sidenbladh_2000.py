@@ -22,7 +22,7 @@ from arm_picture import draw_shoulder
 from bending_arm import film_arm, interval_of, track_arm
 from eigencurves import draw_eigencurves
 from filmed_walk import FPS
-from image_motion import RADIUS_M, errors, motion_figures, track_three_times
+from image_motion import RADIUS_M, errors, heading_error_deg, motion_figures, track_by_mapping, track_three_times
 from reproduce import Case, Experiment, Values, reproduce
 
 MODEL = "sidenbladh_2000_walking"
@@ -66,6 +66,16 @@ def straight(case: Case) -> Mapping[str, Values]:
             "drift, with silhouettes and edges": figures["drift_with_edges_mm_per_50_frames"],
         },
     }
+
+
+def planar(case: Case) -> Mapping[str, Values]:
+    """A straight walk, where a limb's visible half is a plane, as in the paper, or a cylinder (Fig. 2)."""
+    session, values = case.film("side_1", case.sizes["frames"], fps=FPS), dict[str, float]()
+    for mapping in ("plane", "cylinder"):
+        draws = track_by_mapping(session, MODEL, mapping, case.sizes["particles"], case.seed)
+        values[f"heading off in the last frame, {mapping}"] = heading_error_deg(session, draws)
+        values[f"absolute error, {mapping}"] = 1000 * float(errors(session, draws)[0].mean())
+    return {"planar": values}
 
 
 def circle(case: Case) -> Mapping[str, Values]:
@@ -116,6 +126,7 @@ EXPERIMENTS = (
     Experiment(("eigencurves",), eigencurves, facts=True),
     Experiment(("arm",), arm, {"particles": 10_000, "twists_deg": [20, -30]}, {"particles": 500, "twists_deg": [20]}),
     Experiment(("straight", "seconds", "edges"), straight, {"frames": 50, "particles": 5000}, {"frames": 6, "particles": 200}),
+    Experiment(("planar",), planar, {"frames": 50, "particles": 5000}, {"frames": 6, "particles": 200}),
     Experiment(("circle", "prior_alone"), circle, {"frames": 50, "particles": 15_000}, {"frames": 6, "particles": 200}),
 )
 

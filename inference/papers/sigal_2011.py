@@ -9,6 +9,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -17,11 +18,13 @@ import numpy as np
 import bayes_body as bb
 from bayes_body.base.files.shipped import learned_file
 from bayes_body.model.build import Model
+from bayes_body.model.definition import DetectorName
 from bayes_body.recording.session.session import Session
 from bayes_body.tracking.draws import Draws
 
 sys.path.append(str(Path(__file__).with_suffix("")))
 from convergence import changes_of, draw_convergence
+from detectors import figures_of
 from error_plot import draw_errors
 from recover import darkened
 from reproduce import Case, Experiment, Values, reproduce
@@ -30,7 +33,9 @@ from single_frames import SingleFrames, single_frames, track_figures
 RIG = "humaneva_7"
 # What finds people in single frames, and what tracks them; both by the number of parts.
 FINDS, TRACKS = {10: "sigal_2011_10", 15: "loose_limbed_15"}, {10: "loose_limbed_10", 15: "loose_limbed_15"}
-TREE = "sigal_2011_tree"
+TREE, PAMPAS = "sigal_2011_tree", "sigal_2011_15"
+# What proposes places of the parts, by the words of the row.
+DETECTORS: dict[str, tuple[DetectorName, ...]] = {"without": (), "with detectors": ("limbs", "silhouettes")}
 
 
 def poses(case: Case, parts: int, cameras: int) -> SingleFrames:
@@ -128,6 +133,30 @@ def recovery(case: Case) -> Mapping[str, Values]:
     return {"recovery": after | {"error before them": 1000 * float(np.mean(errors["with"][: black.start]))}}
 
 
+def pampas(case: Case) -> Mapping[str, Values]:
+    """The paper's own message passing with its settings, four cameras, from a first pose that is placed by hand."""
+    session = case.film(RIG, case.sizes["frames"], 4)
+    model = bb.load_model(PAMPAS, session, lambda line: None)
+    figures, _ = track_figures(session, bb.track(jax.random.key(case.seed), session, model, particles=case.sizes["particles"]))
+    return {"pampas": {"mean error": figures["mean_mm"], "tracking": figures["seconds_per_frame"]}}
+
+
+def detectors(case: Case) -> Mapping[str, Values]:
+    """Tracks with fifteen parts, with and without detections of limbs and silhouettes among the proposals, seen by 7, 4 and 3 cameras."""
+    sizes, values, settled = case.sizes, dict[str, float | None](), dict[str, list[float]]()
+    for cameras in sizes["cameras"]:
+        session = case.film(RIG, sizes["frames"], cameras, sizes["fps"])
+        model = bb.load_model(TRACKS[15], session, lambda line: None)
+        kernel = model.kernel("particle_bp", samples=sizes["particles"], iterations=sizes["iterations"])
+        for name, names in DETECTORS.items():
+            detecting = replace(model, definition=replace(model.definition, detectors=names))
+            draws = bb.track(jax.random.key(case.seed), session, detecting, kernel, sizes["particles"])
+            figures = figures_of(session, draws, [])
+            values[f"mean error, {cameras} cameras, {name}"] = figures["error_mm"]
+            settled.setdefault(f"iterations until the beliefs settle, {name}", []).append(figures["iterations"])
+    return {"detectors": values | {name: float(np.mean(counts)) for name, counts in settled.items()}}
+
+
 def graphs(case: Case) -> Mapping[str, Values]:
     """Nodes and edges of both graphs (Table 1, Fig. 1)."""
     del case
@@ -149,13 +178,23 @@ TRACK, QUICK_TRACK = {"frames": 12, "particles": 500}, {"frames": 2, "particles"
 EXPERIMENTS = (
     Experiment(("graphs",), graphs, facts=True),
     Experiment(("pose_10", "pose_10_seconds", "turned"), lambda case: pose(case, 10), FRAMES, QUICK_FRAMES),
-    Experiment(("pose_15", "pose_15_seconds"), lambda case: pose(case, 15), FRAMES, QUICK_FRAMES),
+    Experiment(("pose_15", "pose_15_seconds"), lambda case: pose(case, 15), FRAMES, QUICK_FRAMES, costly=True),
     Experiment(("track_10", "track_10_seconds"), lambda case: track(case, 10), TRACK, QUICK_TRACK),
-    Experiment(("track_15", "track_15_seconds"), lambda case: track(case, 15), TRACK, QUICK_TRACK),
+    Experiment(("track_15", "track_15_seconds"), lambda case: track(case, 15), TRACK, QUICK_TRACK, costly=True),
     Experiment(("annealed",), tree, TRACK, QUICK_TRACK),
     Experiment(("convergence",), convergence, {"frames": 3, "iterations": 10, "particles": 500}, QUICK_TRACK | {"iterations": 3}),
-    Experiment(("views",), views, FRAMES, QUICK_FRAMES),
-    Experiment(("recovery",), recovery, {"frames": 25, "black": [10, 14], "particles": 500}, {"frames": 4, "black": [1, 2], "particles": 50}),
+    Experiment(("views",), views, FRAMES, QUICK_FRAMES, costly=True),
+    Experiment(("pampas",), pampas, {"frames": 4, "particles": 200}, QUICK_TRACK, costly=True),
+    Experiment(
+        ("detectors",),
+        detectors,
+        {"cameras": [7, 4, 3], "frames": 6, "fps": 15, "particles": 300, "iterations": 6},
+        {"cameras": [3], "frames": 2, "particles": 50, "iterations": 3},
+        costly=True,
+    ),
+    Experiment(
+        ("recovery",), recovery, {"frames": 25, "black": [10, 14], "particles": 500}, {"frames": 4, "black": [1, 2], "particles": 50}, costly=True
+    ),
 )
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from bayes_body.recording.evidence.markers import MARKERS
 
 def _followed(relative, coverage=0.85):
     relative = np.asarray(relative, float)
-    return Followed(3 * relative, relative / 2, relative, np.full(len(relative), coverage), 200.0, np.array([0.02, 0.04, 0.03]), fps=60.0)
+    return Followed(3 * relative, relative / 2, relative, np.full(len(relative), coverage), 200.0, -9.0, np.array([0.02, 0.04, 0.03]), fps=60.0)
 
 
 def test_figures_are_means_and_deviations_over_the_runs():

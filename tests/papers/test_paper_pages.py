@@ -133,6 +133,15 @@ def test_cases_are_stored_one_by_one_and_measured_once(tiny, tmp_path, capsys):
     assert re.findall(r"^(\w+) ", capsys.readouterr().out, re.MULTILINE) == ["mean", "drawing"]
 
 
+def test_a_costly_experiment_takes_one_seed_for_a_subject_and_some_have_recordings_of_their_own():
+    def cases(quick=False, **options):
+        return list(reproduce.Experiment(("mean",), dict, **options).cases(quick, ["a", "b", "c"], [0, 1]))
+
+    assert cases() == [("a", 0), ("a", 1), ("b", 0), ("b", 1), ("c", 0), ("c", 1)]
+    assert cases(costly=True) == [("a", 0), ("b", 1), ("c", 0)] and cases(True, costly=True) == [("a", 0)]
+    assert cases(pairs=[("d", 7), ("e", 8)]) == [("d", 7), ("e", 8)] and cases(facts=True) == [(None, None)]
+
+
 def test_wrong_arguments_are_sentences(tiny, tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("BAYES_BODY_DATA", raising=False)
     for arguments, part in (

@@ -50,6 +50,7 @@ class Followed(NamedTuple):
         relative_m: mean error relative to the pelvis.
         coverage_90: share of true coordinates in the 90 % intervals of each run; NaN for a mode seeker.
         evaluations: of the likelihood per frame.
+        log_evidence: per frame, nats, mean over the runs; NaN for a mode seeker.
         seconds: per frame of one run, images included, without compilation.
         fps: of the recording.
     """
@@ -59,6 +60,7 @@ class Followed(NamedTuple):
     relative_m: Float[np.ndarray, "run frame"]
     coverage_90: Float[np.ndarray, " run"]
     evaluations: float
+    log_evidence: float
     seconds: Float[np.ndarray, " run"]
     fps: float
 
@@ -193,6 +195,16 @@ def _by_activity(definition: Definition, activity: str, known: bool) -> Definiti
     return replace(definition, dynamics=replace(definition.dynamics, options=options), constraints=constraints)
 
 
+def prior_definitions() -> dict[str, Definition]:
+    """Return definitions that differ in their motion prior alone, by its name.
+
+    Raises:
+        InputError: a definition cannot be read.
+    """
+    named = {prior.dynamics.kind: prior.dynamics for prior in map(load_definition, ("walker", "darby_2008_bayes", "silhouettes"))}
+    return {name: replace(load_definition("walker"), dynamics=dynamics) for name, dynamics in named.items()}
+
+
 def follow(
     session: Session,
     definition: Definition,
@@ -218,7 +230,7 @@ def follow(
     """
     model, options = bb.load_model(definition, session, lambda line: None), definition.kernel.options
     count = particles or int(options.particles)
-    accuracies, coverages, evaluations, seconds = [], [], [], []
+    accuracies, coverages, evaluations, log_evidences, seconds = [], [], [], [], []
     for run in watch(range(runs)):
         draws = bb.track(jax.random.key(seed + run), session, model, particles=count, frames=frames)
         against = draws_against_truth(session, draws)
@@ -227,6 +239,7 @@ def follow(
         accuracies.append(against.plain)
         coverages.append(coverage_at(against.plain.coverage, 0.9) if draws.samples_posterior else np.nan)
         evaluations.append(np.mean([np.asarray(frame.info.evaluations) for frame in draws.frames]))
+        log_evidences += [np.mean(np.asarray(frame.info.log_evidence)) if draws.samples_posterior else np.nan for frame in draws.frames]
         seconds.append((draws.timing.total - draws.timing.compile) / len(draws.frames))
     return Followed(
         absolute_m=_per_run(accuracies, "frame_error"),
@@ -234,6 +247,7 @@ def follow(
         relative_m=_per_run(accuracies, "relative"),
         coverage_90=np.array(coverages),
         evaluations=float(np.mean(evaluations)),
+        log_evidence=float(np.mean(log_evidences)),
         seconds=np.array(seconds),
         fps=session.fps,
     )

@@ -30,6 +30,8 @@ from bayes_body.density.density import Density
 
 # Particles that track a walk up to the frames.
 MODEL, TRACKED = "legs_by_phase", 5000
+# The frames after the mixtures, and the number of frames of a film.
+FRAMES, LENGTH = (10, 20), 22
 # Of a gradient, in evaluations: 1.2 to 2.3 on two busy cores. More favours the particle filter, which gets as many particles more.
 COST = 2.0
 
@@ -56,6 +58,26 @@ class Sizes(NamedTuple):
     particles: int
 
 
+class Study(NamedTuple):
+    """What is common to all mixtures.
+
+    Attributes:
+        model: a definition's name or path, whose kernel is `hmc`.
+        components: of a mixture.
+        gradient_cost: cost of a gradient, in evaluations of the likelihood.
+        seed: of the samplers; a walk adds its own.
+        walks: folder for the filmed walks.
+        mocap: folder with captured walks; None: only the cycle that ships.
+    """
+
+    model: str
+    components: int
+    gradient_cost: float
+    seed: int
+    walks: Path
+    mocap: Path | None
+
+
 FULL, QUICK = Sizes(50, 4_000_000, 6000, 8, 128, 500, 4096), Sizes(10, 50_000, 1000, 6, 64, 150, 1024)
 
 
@@ -67,7 +89,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--mocap", type=Path, default=_mocap(), help="folder with walks of the CMU database (BAYES_BODY_DATA/cmu_mocap)")
     parser.add_argument("--model", default=MODEL, help="a definition's name or the path of your own (%(default)s)")
     parser.add_argument("--walks", nargs="+", choices=[walk.name for walk in WALKS], help="only these walks")
-    parser.add_argument("--frames", nargs="+", type=bb.whole_number(1), default=[10, 20], help="frames of each walk, counted from 0 (10 20)")
+    parser.add_argument("--frames", nargs="+", type=bb.whole_number(1), default=list(FRAMES), help="frames of each walk, counted from 0 (10 20)")
     parser.add_argument("--components", type=bb.whole_number(1), default=1, help="components of a mixture (%(default)s)")
     parser.add_argument("--runs", type=bb.whole_number(2), help=f"runs of each sampler ({FULL.runs}; {QUICK.runs} with --quick)")
     parser.add_argument("--gradient-cost", type=float, default=COST, help="cost of a gradient, in evaluations of the likelihood (%(default)s)")
@@ -86,12 +108,13 @@ def main() -> None:
     bb.configure()
     sizes = QUICK if arguments.quick else FULL
     sizes = sizes._replace(runs=arguments.runs or sizes.runs)
-    settings = sizes._asdict() | {name: getattr(arguments, name) for name in ("model", "components", "gradient_cost", "seed")}
+    study = Study(arguments.model, arguments.components, arguments.gradient_cost, arguments.seed, arguments.out, arguments.mocap)
+    settings = sizes._asdict() | {name: getattr(study, name) for name in ("model", "components", "gradient_cost", "seed")}
     rows = finished(arguments.json, settings)
     done = {(row["walk"], row["frame"]) for row in rows}
     for walk in chosen(arguments.walks):
         frames = [frame for frame in arguments.frames if (walk.name, frame) not in done]
-        for row in measured(walk, frames, arguments, sizes) if frames else ():
+        for row in measured(walk, frames, study, sizes) if frames else ():
             rows.append(row)
             save(arguments, settings, rows)
     print(table(rows))
@@ -118,24 +141,31 @@ def finished(path: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def measured(walk: Walk, frames: Sequence[int], arguments: argparse.Namespace, sizes: Sizes) -> Iterator[dict[str, Any]]:
+def measured(walk: Walk, frames: Sequence[int], study: Study, sizes: Sizes, length: int = LENGTH) -> Iterator[dict[str, Any]]:
     """Yield the rows of a walk's mixtures. It is tracked once, up to the last of the frames.
+
+    Args:
+        walk: the walk.
+        frames: the frames before which the mixtures are.
+        study: what is common to all mixtures.
+        sizes: how much is computed.
+        length: least number of frames of the film.
 
     Raises:
         InputError: the walk cannot be filmed, or the model cannot track it.
     """
-    session = filmed(walk, arguments.out, arguments.mocap, max(arguments.frames) + 2, bb.watched(f"filming {walk.name}"))
-    model = bb.load_model(arguments.model, session)
+    session = filmed(walk, study.walks, study.mocap, max(length, max(frames) + 2), bb.watched(f"filming {walk.name}"))
+    model = bb.load_model(study.model, session)
     if model.definition.kernel.kind != "hmc":
-        raise input_error(arguments.model, f'the kernel is "{model.definition.kernel.kind}"', 'a model whose kernel is "hmc"', "name another --model")
-    options, key = model.definition.kernel.options.model_dump(), jax.random.fold_in(jax.random.key(arguments.seed), walk.seed)
+        raise input_error(study.model, f'the kernel is "{model.definition.kernel.kind}"', 'a model whose kernel is "hmc"', "name another --model")
+    options, key = model.definition.kernel.options.model_dump(), jax.random.fold_in(jax.random.key(study.seed), walk.seed)
     before = bb.track(key, session, model, bb.kernels.sir(), particles=TRACKED, frames=max(frames))
     for frame in frames:
         print(f"walk {walk.name}, frame {frame}", file=sys.stderr, flush=True)
         keys = jax.random.split(jax.random.fold_in(key, frame), 3)
-        mixture = mixture_after(keys[0], before, arguments.components, frame - 1)
+        mixture = mixture_after(keys[0], before, study.components, frame - 1)
         density = model.density(model.observe(bb.read_frame(session, frame)), mixture)
-        equal = at_equal_computation(keys[1], density, options, options["particles"], sizes.runs, True, arguments.gradient_cost)
+        equal = at_equal_computation(keys[1], density, options, options["particles"], sizes.runs, True, study.gradient_cost)
         truth, figures = _known_truth(keys[2], density, sizes, partial(figures_of, model.body.dof_names, equal))
         yield row_of(walk, frame, figures) | {"truth_sd": truth.sd.tolist()}
 

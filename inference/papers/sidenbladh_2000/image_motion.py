@@ -24,9 +24,11 @@ import bayes_body as bb
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.shipped import definitions_folder
 from bayes_body.model.definition import Definition
+from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Session
-from bayes_body.results.metrics.truth import draws_against_truth, no_truth
+from bayes_body.results.metrics.truth import draws_against_truth, no_truth, true_markers
+from bayes_body.results.posterior import markers, mean_pose
 from bayes_body.tracking.draws import Draws
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -144,6 +146,43 @@ def errors(session: Session, draws: Draws) -> tuple[Float[np.ndarray, " frame"],
     if against is None:
         raise no_truth(session)
     return against.plain.frame_error.mean(axis=1), against.plain.relative.mean(axis=1)
+
+
+def track_by_mapping(session: Session, model: str, mapping: str, particles: int, seed: int) -> Draws:
+    """Track a recording by image motion with the particle filter, where surfaces are mapped by their cylinder or by a plane that faces the camera.
+
+    Args:
+        session: the recording.
+        model: the definition with image motion.
+        mapping: "cylinder" or "plane".
+        particles: number of particles.
+        seed: of the filter.
+
+    Raises:
+        InputError: the definition or the first pose cannot be used.
+    """
+    definition = bb.load_definition(model)
+    terms = tuple(replace(term, options=term.options.model_copy(update={"mapping": mapping})) for term in definition.likelihoods)
+    loaded = bb.load_model(replace(definition, likelihoods=terms), session, lambda line: None)
+    return bb.track(jax.random.key(seed), session, loaded, bb.kernels.sir(), particles=particles)
+
+
+def heading_error_deg(session: Session, draws: Draws) -> float:
+    """Return the angle in the ground plane between the mean body's line of the hips and the true one in the last frame, degrees; mean of the runs.
+
+    Raises:
+        InputError: the session has no truth.
+    """
+    truth, names, up = true_markers(session), draws.model.body.markers.names, "xyz".index(session.up)
+    if truth is None:
+        raise no_truth(session)
+    places = markers(draws.model, mean_pose(draws.frames[-1], draws.model))
+    true = truth[len(draws.frames) - 1]
+    hips = places[:, names.index("l_hip")] - places[:, names.index("r_hip")]
+    true_hips = true[MARKERS.index("l_hip")] - true[MARKERS.index("r_hip")]
+    level, true_level = np.delete(hips, up, axis=1), np.delete(true_hips, up)
+    cosine = level @ true_level / (np.linalg.norm(level, axis=1) * np.linalg.norm(true_level))
+    return float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
 def drift_mm(error_m: Float[np.ndarray, " frame"]) -> float:
