@@ -36,7 +36,7 @@ def draw_along(path: Path, along: Mapping[str, Any]) -> None:
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 4), layout="constrained")
+    figure = Figure(figsize=(9, 4), layout="constrained")
     _errors_by_frame(figure.subplots(), along)
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=100)
@@ -51,7 +51,7 @@ def _ratios_by_dof(axes: Any, ratios: Mapping[str, Mapping[str, Sequence[float]]
             value, low, high = of_dofs[dof]
             label = None if place else f"at equal {name}"
             style = {"fmt": run_mark(number), "capsize": 3, "color": paper(dof), "label": label}
-            axes.errorbar(value, place + 0.15 * number, xerr=[[value - low], [high - value]], **style)
+            axes.errorbar(value, place + 0.15 * number, xerr=[[max(value - low, 0)], [max(high - value, 0)]], **style)
     axes.axvline(1, color=GREY)
     axes.set_yticks(places, [dof.replace("$", r"\$") for dof in dofs])
     axes.set(xscale="log", xlabel="error² of the particle filter / error² of hybrid Monte Carlo")
@@ -63,12 +63,13 @@ def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
     """Draw error² of each filter with its whiskers, and its bias² as a grey line of the same style."""
     for number, (name, figures) in enumerate(along.items()):
         if name == "truth_difference":
-            axes.plot(np.arange(1, len(figures) + 1), figures, color=GREY, linestyle=run_line(2), label="difference² of the truth's two runs")
+            axes.plot(np.arange(1, len(figures) + 1), figures, color=GREY, linestyle=run_line(len(along) - 1), label="difference² of the truth's two runs")
             continue
         error, frames = np.array(figures["error"]), np.arange(1, len(figures["error"]) + 1) + 0.08 * number
         low, high = np.array(figures["error_interval"]).T
         whiskers = np.stack([np.maximum(error - low, 0), np.maximum(high - error, 0)])
         axes.errorbar(frames, error, yerr=whiskers, fmt=run_mark(number), color=INK, linestyle=run_line(number), capsize=2, label=f"{name}: error²")
         axes.plot(frames, figures["bias"], color=GREY, linestyle=run_line(number), label=f"{name}: bias²")
-    axes.set(yscale="log", xlabel="frames filtered", ylabel="in units of the posterior's variance, median over dofs")
-    axes.legend(fontsize="small")
+    axes.set(yscale="log", xlabel="frames filtered", ylabel="error² / variance of the posterior,\nmedian of the dofs")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0))
