@@ -63,7 +63,8 @@ def _errors_by_frame(axes: Any, along: Mapping[str, Any]) -> None:
     """Draw error² of each filter with its whiskers, and its bias² as a grey line of the same style."""
     for number, (name, figures) in enumerate(along.items()):
         if name == "truth_difference":
-            axes.plot(np.arange(1, len(figures) + 1), figures, color=GREY, linestyle=run_line(len(along) - 1), label="difference² of the truth's two runs")
+            style = {"color": GREY, "linestyle": run_line(len(along) - 1), "label": "difference² of the truth's two runs"}
+            axes.plot(np.arange(1, len(figures) + 1), figures, **style)
             continue
         error, frames = np.array(figures["error"]), np.arange(1, len(figures["error"]) + 1) + 0.08 * number
         low, high = np.array(figures["error_interval"]).T
