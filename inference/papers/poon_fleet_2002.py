@@ -25,7 +25,7 @@ from bayes_body.tracking.draws import Draws
 sys.path.append(str(Path(__file__).with_suffix("")))
 from along_frames import along
 from computation_curve import curve_of, draw_curve, equal_computations
-from equal_computation import figures_of, mixture_after
+from equal_computation import at_equal_computation, figures_of, mixture_after
 from five_walks import WALKS
 from phase_densities import draw_densities
 from ratio_plot import draw_along
