@@ -224,7 +224,7 @@ EXPERIMENTS = (
         ("ten_mixtures",),
         ten_mixtures,
         {"model": MODEL, "frames": list(FRAMES)} | QUICK._asdict(),
-        {"frames": [2, 3], "runs": 2, "truth": 1000, "long": 20, "groups": 4, "chains": 8, "draws": 10, "particles": 64},
+        {"frames": [2, 3], "runs": 2, "truth": 1000, "long": 20, "groups": 4, "particles": 64},
         pairs=[(walk.name, walk.seed) for walk in WALKS],
     ),
     Experiment(("effective",), effective_particles, ONE_FRAME | {"particles": 20_000}, {"frame": 2, "before": 500, "particles": 2000}),

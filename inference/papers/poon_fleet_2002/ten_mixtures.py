@@ -43,18 +43,14 @@ class Sizes(NamedTuple):
         runs: runs of each sampler.
         truth: particles of each run of the true mean.
         long: draws of each of its chains.
-        groups: groups of tempered chains, if those chains disagree.
-        chains: chains of a group.
-        draws: draws of each of them.
-        particles: particles of a tempered run.
+        groups: runs of tempered SMC, if those chains disagree.
+        particles: particles of each.
     """
 
     runs: int
     truth: int
     long: int
     groups: int
-    chains: int
-    draws: int
     particles: int
 
 
@@ -78,7 +74,7 @@ class Study(NamedTuple):
     mocap: Path | None
 
 
-FULL, QUICK = Sizes(50, 4_000_000, 6000, 8, 128, 500, 4096), Sizes(10, 50_000, 1000, 6, 64, 150, 1024)
+FULL, QUICK = Sizes(50, 4_000_000, 6000, 24, 4096), Sizes(10, 50_000, 1000, 12, 2048)
 
 
 def parse() -> argparse.Namespace:
@@ -171,16 +167,14 @@ def measured(walk: Walk, frames: Sequence[int], study: Study, sizes: Sizes, leng
 
 
 def _known_truth(key: Key, density: Density, sizes: Sizes, judge: Callable[[Truth], dict[str, Any]]) -> tuple[Truth, dict[str, Any]]:
-    """Return the truth by particles or by long chains, or by tempered chains if long chains disagree; and the figures with it."""
+    """Return the truth by particles or by long chains, or by tempered SMC if long chains disagree; and the figures with it."""
     keys = jax.random.split(key)
     truth = best_truth(keys[0], density, sizes.truth, sizes.long, True)
     figures = judge(truth)
     # Chains that agree but are too short need more draws, not other starts.
     if truth.converged:
         return truth, figures
-    tempered = true_mean_by_tempering(
-        keys[1], density, sizes.draws, sizes.chains, sizes.groups, sizes.particles, bb.watched("groups of tempered chains")
-    )
+    tempered = true_mean_by_tempering(keys[1], density, sizes.particles, sizes.groups, bb.watched("runs of tempered SMC"))
     best = tempered if tempered.converged else max(truth, tempered, key=lambda estimate: estimate.effective)
     return best, judge(best) | {"first_truth": figures["settings"]}
 

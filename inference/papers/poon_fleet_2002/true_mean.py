@@ -2,8 +2,8 @@
 
 Which one is better depends on the posterior. If it is hardly narrower than the prediction, millions of particles are worth hundreds of thousands of
 draws. If it is far narrower, they are worth a handful, and chains that mix find it (Poon & Fleet 2002 used 4 million particles). If it has modes
-between which no chain moves, chains of any length disagree. Then groups of chains begin among the particles of tempered runs, which enter the modes
-by their probability, and a group is weighted by its run's evidence.
+between which no chain moves, chains of any length disagree. Then tempered SMC with many moves estimates it, whose particles enter the modes by their
+probability; a run is weighted by its evidence.
 """
 
 from collections.abc import Callable
@@ -23,6 +23,7 @@ from bayes_body.density.kernel import FilterInfo
 from bayes_body.kernels.hmc.adaptation import FEWEST
 from bayes_body.kernels.hmc.hamiltonian import effective_draws
 from bayes_body.kernels.hmc.hmc_filter import build_sampler
+from bayes_body.kernels.smc import tempered_smc
 from bayes_body.kernels.smc.particle_filter import build_kernel
 from bayes_body.results.posterior.agreement import split_rhat
 
@@ -39,6 +40,8 @@ LONGEST_BURN_IN = 1000
 STARTS = 200_000
 # Options of these chains, whatever the options of the samplers that are compared.
 OPTIONS = {"mass": "adapted", "leapfrog_steps": 10, "jitter": 0.3, "step": 0.3, "target_acceptance": 0.7}
+# Options of tempered SMC, if it estimates the truth.
+TEMPERED = {"moves": 4, "leapfrog_steps": 6, "target_ess": 0.8}
 # (key, density) -> draws and information.
 type Sampler = Callable[[Key, Any], tuple[Particles, FilterInfo]]
 
@@ -53,7 +56,7 @@ class Truth(NamedTuple):
         effective: effective number of draws of each run.
         by: `sir`, `hmc` or `tempering`.
         rhat: largest split R-hat over the dofs and over the chains of both runs, even if sir was chosen; NaN if no chains ran. By tempering, it is
-            that of groups of chains (`group_rhat`).
+            that of independent runs (`group_rhat`).
     """
 
     halves: Float[np.ndarray, "2 dof"]
@@ -87,8 +90,7 @@ def sir_sampler(particles: int) -> Sampler:
 
     def sample(key: Key, density: Density) -> tuple[Particles, FilterInfo]:
         # The kernel draws as many particles as it is given.
-        copies = -(-particles // density.previous.log_weights.shape[0])
-        return kernel(key, jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1)), density.previous), density)
+        return kernel(key, copied(density.previous, particles), density)
 
     return sample
 
@@ -150,7 +152,7 @@ def true_mean_by_chains(key: Key, density: Density, draws: int, chains: int = 32
 
 
 class Groups(NamedTuple):
-    """The moments of groups of chains, each of which began among the particles of one tempered run."""
+    """The moments of independent runs of tempered SMC."""
 
     log_evidence: Float[np.ndarray, " group"]
     means: Float[np.ndarray, "group dof"]
@@ -158,68 +160,69 @@ class Groups(NamedTuple):
 
     @property
     def share(self) -> Float[np.ndarray, " group"]:
-        """The share of each group in the whole, by its evidence."""
+        """The share of each run in the whole, by its evidence."""
         share = np.exp(self.log_evidence - self.log_evidence.max())
         return share / share.sum()
 
     def pooled(self) -> tuple[Float[np.ndarray, " dof"], Float[np.ndarray, " dof"], Float[np.ndarray, " dof"]]:
-        """Return the mean and variance of all groups, weighted by evidence, and the variance of a group's mean about it."""
+        """Return the mean and variance of all runs, weighted by evidence, and the variance of a run's mean about it."""
         share, mean = self.share, self.share @ self.means
-        # Of independent groups with unequal weights, 1 - sum(share²) is the expected share of a group's variance about the weighted mean.
+        # Of independent runs with unequal weights, 1 - sum(share²) is the expected share of a run's variance about the weighted mean.
         between = share @ (self.means - mean) ** 2 / max(1 - np.sum(share**2), np.finfo(float).eps)
         return mean, share @ self.squares - mean**2, between
 
     @property
+    def noise(self) -> Float[np.ndarray, " dof"]:
+        """The variance of the mean of all runs together."""
+        return self.pooled()[2] * np.sum(self.share**2)
+
+    @property
     def effective(self) -> float:
-        """Effective draws of all groups together: those of the dof about whose mean they agree least."""
-        _, variance, between = self.pooled()
-        # A dof on which all groups agree is known exactly.
-        return float(1 / (np.max(between / variance) * np.sum(self.share**2)))
+        """Effective draws of all runs together: those of the dof about whose mean they agree least."""
+        # A dof on which all runs agree is known exactly.
+        return float(1 / np.max(self.noise / self.pooled()[1]))
 
 
 def group_rhat(groups: Groups) -> float:
-    """Return the largest R-hat over the dofs of groups of chains (nested R-hat of Margossian et al. 2024).
+    """Return the largest R-hat over the dofs of independent runs (nested R-hat of Margossian et al. 2024).
 
-    The variance between groups is compared with that inside a group, which contains all chains of the group. A group is right if its chains are in
-    the modes with the right shares, even if no chain leaves its mode.
+    The variance between runs is compared with that inside a run, which has particles in all modes. Runs agree if their modes have the same shares.
     """
     _, variance, between = groups.pooled()
     return float(np.sqrt(1 + np.max(between / np.maximum(variance - between, np.finfo(float).tiny))))
 
 
-def true_mean_by_tempering(
-    key: Key, density: Density, draws: int, chains: int = 128, groups: int = 8, particles: int = 8192, watch: Watch = unwatched
-) -> Truth:
-    """Estimate the mean by groups of chains that begin among particles of tempered runs; each half of the groups is a run.
+def true_mean_by_tempering(key: Key, density: Density, particles: int = 2048, groups: int = 12, watch: Watch = unwatched) -> Truth:
+    """Estimate the mean by independent runs of tempered SMC with many moves; they take turns between the truth's two halves.
 
-    As for `true_mean_by_chains`, gradients take noise out of the means, and R-hat is that of the draws themselves.
+    Particles enter the modes by their probability, while the likelihood still counts little. That takes more moves than tracking does (TEMPERED).
 
     Args:
-        key: for all groups.
+        key: for all runs.
         density: the frame's density.
-        draws: draws of each chain after its burn-in.
-        chains: chains of a group.
-        groups: number of groups, at least four.
-        particles: number of particles of a tempered run.
-        watch: wraps the iteration over groups, to show progress.
+        particles: of a run.
+        groups: number of runs, at least four.
+        watch: wraps the iteration over runs, to show progress.
     """
-    options = OPTIONS | {"starts_by": "tempering", "starts": particles, "burn_in": min(max(draws // 2, FEWEST), LONGEST_BURN_IN)}
-    sample = build_sampler(chains=chains, **options)
+    kernel = tempered_smc.build_kernel(**TEMPERED)
 
-    group = jax.jit(lambda key, density: sample(key, density, chains * draws))
-    drawn = [jax.block_until_ready(group(jax.random.fold_in(key, number), density)) for number in watch(range(groups))]
-    log_evidence = np.array([float(info.log_evidence) for _, info in drawn])
-    poses = [np.asarray(particles.states["pose"], float) for particles, _ in drawn]
-    gradients = [jax.device_get(positions_and_scores(particles.states, density)) for particles, _ in drawn]
-    # Groups take turns between the halves.
-    halves = [[np.concatenate(arrays[side::2]) for side in range(2)] for arrays in (poses, *zip(*gradients, strict=True))]
-    steady = [of_half.reshape(-1, *poses[0].shape).mean(axis=1) for of_half in steadied(*halves)]
-    squares = np.array([(pose**2).mean(axis=0) for pose in poses])
-    every = Groups(log_evidence, np.array([pose.mean(axis=0) for pose in poses]), squares)
-    sides = [Groups(log_evidence[side::2], steady[side], squares[side::2]) for side in range(2)]
-    noise = np.mean([side.pooled()[2] * np.sum(side.share**2) for side in sides], axis=0)
-    means = np.array([side.pooled()[0] for side in sides])
-    return Truth(means, np.sqrt(every.pooled()[1]), noise, every.effective / 2, "tempering", group_rhat(every))
+    @jax.jit
+    def moments(key: Key, density: Density) -> tuple[Array, Array, Array]:
+        drawn, info = kernel(key, copied(density.previous, particles), density)
+        weights, pose = jnp.exp(drawn.log_weights), drawn.states["pose"]
+        return info.log_evidence, weights @ pose, weights @ pose**2
+
+    runs = [jax.device_get(moments(jax.random.fold_in(key, number), density)) for number in watch(range(groups))]
+    every = Groups(*(np.array(column, float) for column in zip(*runs, strict=True)))
+    sides = [Groups(*(column[side::2] for column in every)) for side in range(2)]
+    halves, noise = np.array([side.pooled()[0] for side in sides]), 2 * every.noise
+    return Truth(halves, np.sqrt(every.pooled()[1]), noise, every.effective / 2, "tempering", group_rhat(every))
+
+
+def copied(mixture: Particles, least: int) -> Particles:
+    """Return a mixture of equal components with at least so many particles, equally many from each."""
+    copies = -(-least // mixture.log_weights.shape[0])
+    return jax.tree.map(lambda leaf: jnp.tile(leaf, (copies,) + (1,) * (leaf.ndim - 1)), mixture)
 
 
 def best_truth(key: Key, density: Density, particles: int, draws: int, bar: bool = False, starts: int = STARTS) -> Truth:
