@@ -177,18 +177,23 @@ def _covered(corners: Pixels[Float[Array, "part 4"]], size: Float[Array, "2"], c
     """The fraction of each cell that the parts cover."""
     u = (jnp.arange(columns) + 0.5) / columns * size[0] - 0.5
     v = (jnp.arange(rows) + 0.5) / rows * size[1] - 0.5
-    softness = size[0] / columns
-    inside = jnp.ones((corners.u.shape[0], rows, columns), corners.u.dtype)
-    signed_area = _signed_area(corners)
-    for i in range(4):
-        j = (i + 1) % 4
-        along_u, along_v = corners.u[:, j] - corners.u[:, i], corners.v[:, j] - corners.v[:, i]
-        length = jnp.sqrt(along_u**2 + along_v**2 + 1e-6)
-        du, dv = u - corners.u[:, i, None, None], v[:, None] - corners.v[:, i, None, None]
-        distance = (along_u[:, None, None] * dv - along_v[:, None, None] * du) / length[:, None, None]
-        inside *= jax.nn.sigmoid(4 * jnp.sign(signed_area)[:, None, None] * distance / softness)
-    inside *= jnp.all(corners.visible, axis=1)[:, None, None]
-    return 1 - jnp.prod(1 - inside, axis=0)
+    steepness = 4 * columns / size[0]
+
+    def uncover(uncovered: Grid, part: tuple[Array, ...]) -> tuple[Grid, None]:
+        corner_u, corner_v, side, visible = part
+        inside = visible * jnp.ones_like(uncovered)
+        for i in range(4):
+            j = (i + 1) % 4
+            along_u, along_v = corner_u[j] - corner_u[i], corner_v[j] - corner_v[i]
+            scale = side * steepness * jax.lax.rsqrt(along_u**2 + along_v**2 + 1e-6)
+            distance = scale * along_u * (v[:, None] - corner_v[i]) - scale * along_v * (u - corner_u[i])
+            inside = inside * jax.nn.sigmoid(distance)
+        return uncovered * (1 - inside), None
+
+    # A loop: XLA's CPU backend makes one vectorised pass over the cells of each part. Of arrays (part, row, column) it took 19 times as long.
+    parts = corners.u, corners.v, jnp.sign(_signed_area(corners)), jnp.all(corners.visible, axis=1).astype(corners.u.dtype)
+    start = varying_like(jnp.ones((rows, columns), corners.u.dtype), corners.u)
+    return 1 - jax.lax.scan(uncover, start, parts)[0]
 
 
 def _signed_area(corners: Pixels[Float[Array, "part 4"]]) -> Float[Array, " part"]:
