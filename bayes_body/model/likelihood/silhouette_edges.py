@@ -21,7 +21,7 @@ printed. It matters for a posterior sampler, but not for an annealing kernel tha
 `edge_weight`, 1 as printed. This is a sum of squares, not a distribution over images: the posterior can be sampled, but images cannot be simulated.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -139,12 +139,25 @@ class SilhouetteEdges:
         errors = jnp.mean(jnp.square(1 - jnp.exp(-0.5 * outside * outside)), axis=1)
         return jnp.sum(jnp.where(maps.foreground > 0, errors, 0.0))
 
+    def matched_to(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> "SilhouetteEdges":
+        """Return the potential whose `body_share` is that of a body whose pose is known: both areas agree there.
+
+        Of several cameras it is the mean. No camera with a silhouette leaves it as it is.
+        """
+        foreground, share = np.asarray(maps.foreground), np.asarray(self._projected_share(maps, configuration))
+        seen = foreground > 0
+        return replace(self, body_share=float(np.mean(share[seen] / foreground[seen]))) if seen.any() else self
+
+    def _projected_share(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
+        """The fraction of each camera's image that the body covers, of what no other person covers."""
+        return projected_area(self.body, self.rig, configuration, self.area_grid, maps.uncovered)
+
     def _area_agreement(self, maps: SilhouetteEdgeMaps, configuration: Configuration) -> Float[Array, " camera"]:
         """W of (9), at least 1e-3, since a body that a camera does not see would divide by zero; 1 if the camera did not see the frame.
 
         Both areas are those of what no other person covers.
         """
-        share = projected_area(self.body, self.rig, configuration, self.area_grid, maps.uncovered)
+        share = self._projected_share(maps, configuration)
         foreground, projected = (jnp.clip(s, 1e-6, 1 - 1e-6) / (1 - jnp.clip(s, 1e-6, 1 - 1e-6)) for s in (self.body_share * maps.foreground, share))
         agreement = 1 - jnp.abs(foreground - projected) / jnp.maximum(foreground, projected)
         return jnp.where(maps.foreground >= 0, jnp.maximum(agreement**self.gamma, 1e-3), 1.0)

@@ -152,6 +152,20 @@ def test_at_equal_areas_w_is_one(x64, scene):
     assert log_likelihood(man, maps=equal, gamma=5.0) == pytest.approx(float(log_likelihood(man)), rel=1e-12)
 
 
+def test_areas_agree_at_the_pose_to_which_they_are_matched(x64, scene):
+    # The camera of a man of whose silhouette the body covers four fifths; the other camera did not see the frame.
+    man = scene("deutscher_31")
+    share = area_of(man.body, man.rig, man.pose, (80, 60))
+    maps = man.maps()._replace(foreground=jnp.asarray([1.25 * share[0], -1.0]))
+    factor = man.factor(surface_samples=SURFACE, outline_samples=OUTLINE, gamma=5.0)
+    matched = factor.log_potential.matched_to(maps, man.pose)
+    assert matched.body_share == pytest.approx(0.8, rel=1e-10)
+    found = evaluate(replace(factor, log_potential=matched), man.pose, maps)
+    assert found == pytest.approx(float(log_likelihood(man, maps=maps)), rel=1e-10)
+    blind = maps._replace(foreground=jnp.asarray([-1.0, -1.0]))
+    assert factor.log_potential.matched_to(blind, man.pose).body_share == 1.0
+
+
 @pytest.mark.parametrize(("gamma", "least", "covered"), [(1.0, 0.0, 1.0), (5.0, 0.0, 1.0), (5.0, 0.07, 0.9)])
 def test_w_is_9(x64, scene, gamma, least, covered):
     man = scene("deutscher_31")
