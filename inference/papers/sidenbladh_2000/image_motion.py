@@ -23,7 +23,10 @@ from jaxtyping import Float
 import bayes_body as bb
 from bayes_body.base.errors import InputError
 from bayes_body.base.files.shipped import definitions_folder
+from bayes_body.density.factor import Factor
+from bayes_body.model.build import Model
 from bayes_body.model.definition import Definition
+from bayes_body.model.likelihood.silhouette_edges import SilhouetteEdges
 from bayes_body.recording.evidence.markers import MARKERS
 from bayes_body.recording.readers.rig import read_rig
 from bayes_body.recording.session.session import Session
@@ -84,7 +87,9 @@ def main() -> None:
 
 
 def track_three_times(session: Session, model: str, particles: int, seed: int, turns: bool) -> Tracks:
-    """Track a recording with the particle filter, each time from the same first pose.
+    """Track a recording with the particle filter, each time from the same markers of the first frame.
+
+    With silhouettes and edges, the body's lengths and outline are fitted to the first frame too.
 
     Args:
         session: the recording.
@@ -101,12 +106,33 @@ def track_three_times(session: Session, model: str, particles: int, seed: int, t
         by_motion, with_edges = turning(by_motion), turning(with_edges)
     # Without likelihoods the images say nothing.
     prior = replace(by_motion, likelihoods=())
+    # With silhouettes, the size in the image says how far away the person is. So the body has the size of the person in the first frame.
+    measured = replace(session, fit_lengths=True, fit_outline=not session.moves)
 
-    def follow(definition: Definition) -> Draws:
-        loaded = bb.load_model(definition, session, lambda line: None)
-        return bb.track(jax.random.key(seed), session, loaded, bb.kernels.sir(), particles=particles)
+    def follow(definition: Definition, recording: Session = session) -> Draws:
+        loaded = with_first_area(bb.load_model(definition, recording, lambda line: None), recording)
+        return bb.track(jax.random.key(seed), recording, loaded, bb.kernels.sir(), particles=particles)
 
-    return Tracks(follow(by_motion), follow(prior), follow(with_edges))
+    return Tracks(follow(by_motion), follow(prior), follow(with_edges, measured))
+
+
+def with_first_area(model: Model, session: Session) -> Model:
+    """Return the model whose silhouettes have the area of the first frame's, where the pose is known. A body without clothes and neck covers less.
+
+    Raises:
+        InputError: the first frame cannot be read.
+    """
+    if session.moves or not any(isinstance(factor.log_potential, SilhouetteEdges) for factor in model.factors):
+        return model
+    maps = model.observe(bb.read_frame(session, 0, with_before=True))
+
+    def matched(factor: Factor) -> Factor:
+        potential = factor.log_potential
+        if not isinstance(potential, SilhouetteEdges):
+            return factor
+        return replace(factor, log_potential=potential.matched_to(maps[factor.name], model.first_pose))
+
+    return replace(model, factors=tuple(matched(factor) for factor in model.factors))
 
 
 def turning(definition: Definition) -> Definition:
