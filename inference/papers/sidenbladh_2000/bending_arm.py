@@ -176,7 +176,7 @@ def model_of_arm(filmed: FilmedArm, particles: int, seed: int = 0, name: str = M
     first = filmed.angles[0] + rng.normal(0.0, np.radians(FIRST_SD_DEG), (particles, len(low)))
     first = np.where(first > high, 2 * high - first, first)
     first[:, twist] = rng.uniform(low[twist], high[twist], particles)
-    return model.beginning_at(filmed.angles[0], first)
+    return model.beginning_at(jnp.asarray(filmed.angles[0]), jnp.asarray(first))
 
 
 def twist_interval(filmed: FilmedArm, particles: int, seed: int = 0, name: str = MODEL) -> TwistInterval:
