@@ -14,7 +14,7 @@ from bayes_body.density.tangent_normal import tangent_normal
 from bayes_body.kernels.messages import epbp, products
 from bayes_body.kernels.messages.methods import KernelEstimate
 from bayes_body.kernels.messages.pampas import stratified
-from bayes_body.kernels.messages.products import Product, draw_products, slots_of
+from bayes_body.kernels.messages.products import Product, draw_products, slots_of, ways
 
 LINE = euclidean(("x",), ("m",))
 
@@ -118,7 +118,10 @@ def drawn_product(factor, points, weights, draw=None, count=4000):
     )
     # The messages to node 2 have the numbers 0 and 1; those back, 2 and 3, are not taken.
     taken = jnp.zeros((3, count, slots_of(built).shape[1])).at[2].set(1.0)
-    product = Product(jnp.concatenate([points, points]), jnp.log(jnp.concatenate([weights, weights])), slots_of(built), taken)
+    rows, targets = zip(*((np.arange(len(way.targets)), way.targets) for way in ways(built)), strict=True)
+    product = Product(
+        rows, jnp.concatenate([points, points]), jnp.log(jnp.concatenate([weights, weights])), np.concatenate(targets), slots_of(built), taken
+    )
     start = jnp.zeros((3, count, points.shape[-1]))
     return np.asarray(jax.jit(lambda key: draw_products(key, built, product, start))(jax.random.key(3))[2], float)
 

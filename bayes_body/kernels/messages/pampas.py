@@ -20,14 +20,15 @@ and a normal fit to the belief, whose density is exact.
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bayes_body.base.shapes import Key, Scalar
-from bayes_body.density.graph import Graph
-from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, cavities, log_beliefs, normalised
+from bayes_body.density.graph import Graph, Term
+from bayes_body.kernels.messages.messages import Beliefs, Directed, NodeValues, Sources, cavities, log_beliefs, normalised
 from bayes_body.kernels.messages.node_proposals import Proposals, Shares, draw, log_density, proposals
 from bayes_body.kernels.messages.passing import Passing, Settings
 from bayes_body.kernels.messages.products import Product, draw_products, slots_of, ways
+from bayes_body.kernels.messages.schedules import Round
 
 # The shares of previous frame and detections among the first particles, and those of both importance functions afterwards.
 FIRST = Shares(messages=0.0, prior=0.9, detections=0.1, fit=0.0)
@@ -49,31 +50,34 @@ class Pampas(Passing):
         # Which slots each stratum multiplies: (node, stratum, slot).
         self.taken = exists[:, None] & ~np.eye(self.strata, self.strata - 1, -1, bool)
         degree = exists.sum(1, keepdims=True)
+        self.left_out = self._left_out()
         self.of_beliefs = np.concatenate([np.where(degree > 0, HALF, 1.0), HALF * exists / np.maximum(degree, 1)], axis=1)
+
+    def _left_out(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Return the slots, in its source, that the second stratum of each message leaves out: those of the messages back.
+
+        By `id` of the term, for the messages to the second node of each row, and for those to the first.
+        """
+        numbers = 1 + sum(len(way.targets) for way in ways(self.graph))
+        slot_of, left_out, start = np.zeros(numbers, int), dict[int, tuple[np.ndarray, np.ndarray]](), 0
+        slot_of[self.slots] = np.arange(self.slots.shape[1])
+        for term in (term for term in self.graph.pairs if term.plate.draw is not None):
+            towards_second, towards_first = np.split(slot_of[start : start + 2 * len(term.rows)], 2)
+            left_out[id(term)] = towards_first, towards_second
+            start += 2 * len(term.rows)
+        return left_out
 
     def weigh(self, beliefs: Beliefs, power: float | Scalar) -> tuple[NodeValues, tuple[Directed, ...]]:
         """Return the log-weights of the beliefs and of the messages, normalised within each stratum."""
         weights = stratified(log_beliefs(self.graph, beliefs, power), jnp.asarray(self.of_beliefs))
-        message_weights, number = [], 0
+        message_weights = []
         for term, raw in zip(self.graph.pairs, cavities(self.graph, beliefs, power), strict=True):
-            count = len(term.rows)
             if term.plate.draw is None:
                 shares = [jnp.asarray(self.of_beliefs)[term.rows[:, column]] for column in (0, 1)]
             else:
-                # The stratum of a message leaves out the slot, in the source, of the message in the other direction along the same row.
-                shares = [self._of_message(number + count + np.arange(count)), self._of_message(number + np.arange(count))]
-                number += 2 * count
+                shares = [jnp.asarray(HALF * (np.eye(self.strata)[0] + np.eye(self.strata)[1 + left_out])) for left_out in self.left_out[id(term)]]
             message_weights.append(Directed(*(stratified(log_weights, share) for log_weights, share in zip(raw, shares, strict=True))))
         return weights, tuple(message_weights)
-
-    def _of_message(self, answers: np.ndarray) -> Float[Array, "edge stratum"]:
-        """Return the shares of the strata in messages, given the numbers of the messages in the other direction."""
-        return jnp.asarray(HALF * (np.eye(self.strata)[0] + np.eye(self.strata)[1 + self._places(answers)[1]]))
-
-    def _places(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the target nodes of messages, and their slots there."""
-        places = np.array([np.argwhere(self.slots == number)[0] for number in numbers])
-        return places[:, 0], places[:, 1]
 
     def first(self, beliefs: Beliefs, proposal: Proposals) -> Proposals:
         """Return the proposal of particles that do not come from messages: prior and detections."""
@@ -81,13 +85,31 @@ class Pampas(Passing):
             self.graph, beliefs._replace(ready=jnp.zeros_like(beliefs.ready)), proposal.cavities, proposal.belief_proposals, FIRST, False
         )
 
-    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
-        """Draw the particles of all strata."""
+    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals, turn: Round) -> Float[Array, "node sample *entry"]:
+        """Draw the particles of all strata; those of nodes that are not in the round are not used."""
         first_key, product_key = jax.random.split(key)
         otherwise = draw(first_key, self.graph, self.first(beliefs, proposal), self.held)
         if self.strata == 1:
             return otherwise
-        return draw_products(product_key, self.graph, self._product(beliefs, proposal), otherwise)
+        nodes = jnp.minimum(turn.nodes, self.graph.count - 1)
+        products = draw_products(product_key, self.graph, self._product(beliefs, proposal, turn, nodes), otherwise[nodes])
+        return otherwise.at[turn.nodes].set(products, mode="drop")
+
+    def come_from(self, term: Term, cavity: Directed, points: Float[Array, "node sample *entry"], ready: Float[Array, " node"]) -> Sources:
+        """Return the sources of a term's messages. A message along which values are proposed has two strata; all others have no weight in it."""
+        every = super().come_from(term, cavity, points, ready)
+        if term.plate.draw is None:
+            return every
+        within = np.arange(self.each)
+
+        def in_strata(values: Directed) -> Directed:
+            index = [
+                np.concatenate([np.tile(within, (len(slots), 1)), (1 + slots)[:, None] * self.each + within], axis=1)
+                for slots in self.left_out[id(term)]
+            ]
+            return Directed(*(values_of_way[np.arange(len(chosen))[:, None], chosen] for values_of_way, chosen in zip(values, index, strict=True)))
+
+        return Sources(in_strata(every.points), in_strata(every.weights), every.ready)
 
     def log_q(
         self, beliefs: Beliefs, proposal: Proposals, points: Float[Array, "node sample *entry"], arrived: tuple[Directed, ...], prior: NodeValues
@@ -114,19 +136,30 @@ class Pampas(Passing):
         slot_ready = ready[np.minimum(self.slots, len(ready) - 1)]
         return jnp.repeat(self.taken * slot_ready[:, None], self.each, axis=1)
 
-    def _product(self, beliefs: Beliefs, proposal: Proposals) -> Product:
-        """Return the messages, with only the particles in their strata, and the slots that each sample multiplies."""
-        points, weights, number = [], [], 0
-        cavity_of = dict(zip(map(id, self.graph.pairs), proposal.cavities, strict=True))
-        for way in ways(self.graph):
-            count = len(way.targets)
-            node, slot = self._places(number + (-count if way.reverse else count) + np.arange(count))
-            within = np.arange(self.each)
-            index = jnp.asarray(np.concatenate([np.tile(within, (count, 1)), (1 + slot)[:, None] * self.each + within], axis=1))
-            points.append(jax.vmap(lambda node_points, indices: node_points[indices])(beliefs.points[node], index))
-            weights.append(jnp.take_along_axis(cavity_of[id(way.term)][way.reverse], index, axis=1))
-            number += count
-        return Product(jnp.concatenate(points), jnp.concatenate(weights), self.slots, self._taken(beliefs))
+    def _product(self, beliefs: Beliefs, proposal: Proposals, turn: Round, nodes: Int[Array, " own"]) -> Product:
+        """Return the messages into the nodes of a round, with only the particles in their strata, and the slots that each sample multiplies."""
+        rows, points, weights, numbers, start = [], [], [], [], 0
+        for term, cavity, by_direction in zip(self.graph.pairs, proposal.cavities, turn.pairs, strict=True):
+            if term.plate.draw is None:
+                continue
+            come_from, count = self.come_from(term, cavity, beliefs.points, beliefs.ready), len(term.rows)
+            for reverse in (False, True):
+                chosen = jnp.minimum(by_direction[reverse], count - 1)
+                rows.append(chosen)
+                points.append(come_from.points[reverse][chosen])
+                weights.append(come_from.weights[reverse][chosen])
+                numbers.append(start + chosen)
+                start += count
+        number = jnp.concatenate(numbers)
+        targets = jnp.asarray(np.concatenate([way.targets for way in ways(self.graph)]))[number]
+        return Product(
+            tuple(rows),
+            jnp.concatenate(points),
+            jnp.concatenate(weights),
+            jnp.argmax(targets[:, None] == nodes, axis=1),
+            jnp.argmax(jnp.asarray(self.slots)[nodes][..., None] == number, axis=2),
+            self._taken(beliefs)[nodes],
+        )
 
 
 def stratified(log_weights: Float[Array, "row sample"], shares: Float[Array, "row stratum"]) -> Float[Array, "row sample"]:

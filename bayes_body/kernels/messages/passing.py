@@ -110,7 +110,7 @@ class Passing:
         edges = [jnp.zeros((len(term.plate.rows), samples), zero.dtype) for term in graph.pairs]
         messages = tuple(Directed(edge, edge) for edge in edges)
         last = tuple(
-            sources(term, directed, points, zero[:, 0]) for term, directed in zip(graph.pairs, messages, strict=True) if self.settings.damping
+            self.come_from(term, directed, points, zero[:, 0]) for term, directed in zip(graph.pairs, messages, strict=True) if self.settings.damping
         )
         detected = jnp.zeros((*zero.shape, len(graph.proposals)), zero.dtype) if self.adapts else None
         return Beliefs(points, zero, zero, zero, messages, zero[:, 0]), Memory(self.method.begin(graph, points), last, detected)
@@ -134,7 +134,7 @@ class Passing:
         """Redraw the nodes of a round and evaluate the messages into them."""
         graph, beliefs = self.graph, state[0]
         proposal, memory, summary = self.proposals(*state, turn.power)
-        fresh = self.draw(key, beliefs, proposal)
+        fresh = self.draw(key, beliefs, proposal, turn)
         redrawn = jnp.zeros(graph.count, bool).at[turn.nodes].set(True, mode="drop")
         points = jnp.where(redrawn.reshape(-1, *[1] * (fresh.ndim - 1)), fresh, beliefs.points)
         arrived = self._arrived(beliefs, proposal, points, turn)
@@ -162,9 +162,9 @@ class Passing:
         """Return the normalised log-weights of the beliefs, and those of the sources of all messages."""
         return normalised(log_beliefs(self.graph, beliefs, power)), cavities(self.graph, beliefs, power)
 
-    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals) -> Float[Array, "node sample *entry"]:
-        """Draw new particles of all nodes."""
-        del beliefs
+    def draw(self, key: Key, beliefs: Beliefs, proposal: Proposals, turn: Round) -> Float[Array, "node sample *entry"]:
+        """Draw new particles; those of nodes that are not in the round are not used."""
+        del beliefs, turn
         return draw(key, self.graph, proposal, self.held)
 
     def log_q(
@@ -173,6 +173,10 @@ class Passing:
         """Return the log-density of `draw`. The draws along the edges come from the messages as they arrived, before damping."""
         del beliefs
         return log_density(self.graph, proposal, points, arrived, prior)
+
+    def come_from(self, term: Term, cavity: Directed, points: Float[Array, "node sample *entry"], ready: Float[Array, " node"]) -> Sources:
+        """Return the sources of a term's messages."""
+        return sources(term, cavity, points, ready)
 
     def drawn(self, beliefs: Beliefs, proposal: Proposals) -> Bool[Array, " node"]:
         """Return which nodes can be drawn."""
@@ -191,7 +195,7 @@ class Passing:
         """Return all messages. Those into the nodes of the round are evaluated at their new particles."""
 
         def evaluate(term: Term, closing: bool, cavity: Directed, old: Directed, rows: tuple[Array, Array]) -> Directed:
-            come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+            come_from = self.come_from(term, cavity, beliefs.points, beliefs.ready)
             return entered(old, log_messages(term, come_from, points, rows, self._heard(closing)), rows)
 
         return tuple(map(evaluate, self.graph.pairs, self.graph.only_closing, proposal.cavities, beliefs.messages, turn.pairs))
@@ -218,7 +222,7 @@ class Passing:
                 jnp.where(ready[row][:, None] > 0, (1 - damping) * message[row] + damping * previous, message[row])
                 for message, previous, ready, row in zip(new, old, last.ready, indices, strict=True)
             ]
-            come_from = sources(term, cavity, beliefs.points, beliefs.ready)
+            come_from = self.come_from(term, cavity, beliefs.points, beliefs.ready)
             return entered(new, Directed(*mixed), rows), Sources(
                 *(
                     entered(old_leaf, Directed(*(leaf[row] for leaf, row in zip(new_leaf, indices, strict=True))), rows)

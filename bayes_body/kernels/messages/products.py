@@ -11,7 +11,7 @@ along the edge; its covariance is the covariance of such draws, averaged over th
 for a product of one message it is exact from the start.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +23,7 @@ from bayes_body.base.shapes import Key
 from bayes_body.density.graph import Graph, Term
 from bayes_body.density.spaces import Space
 from bayes_body.density.tangent_normal import TangentNormal
+from bayes_body.kernels.batching import ROWS, over_particles
 from bayes_body.kernels.messages.messages import slots, without_nan
 
 # Sweeps of a chain: the paper takes 5 to 10.
@@ -40,18 +41,22 @@ class Way(NamedTuple):
 
 
 class Product(NamedTuple):
-    """Messages, in the order of `ways`, and which of them each sample multiplies.
+    """Messages, in the order of `ways`, into some nodes; and which of them each sample multiplies.
 
     Attributes:
+        rows: for each way, the rows of its term whose messages these are.
         points: particles of the source of every message.
         weights: their normalised log-weights.
-        slots: numbers of the messages into each node; the number after the last is padding.
+        targets: for every message, which of the nodes it goes to.
+        slots: which messages go into each node; anything where none is taken.
         taken: for every sample, whether the message of a slot is a factor of its product.
     """
 
+    rows: tuple[Int[Array | np.ndarray, "_"], ...]
     points: Float[Array, "message source *entry"]
     weights: Float[Array, "message source"]
-    slots: np.ndarray
+    targets: Int[Array | np.ndarray, " message"]
+    slots: Int[Array | np.ndarray, "node slot"]
     taken: Float[Array, "node sample slot"]
 
 
@@ -96,30 +101,30 @@ def _density(proposal: TangentNormal, x: Array) -> Float[Array, "node sample"]:
     return jax.vmap(jax.vmap(lambda normal, point: normal.log_prob(point)))(proposal, x)
 
 
-def _per_message(graph: Graph, function: Callable[..., Array], *arrays: Array) -> Array:
-    """Return `function(way, row's parameters, own entries of the arrays, by message)` of all messages, stacked."""
-    return jnp.concatenate(
-        [
-            jax.vmap(lambda *entries, way=way: function(way, *entries))(way.term.plate.parameters, *[array[messages] for array in arrays])
-            for way, messages in _numbered(graph)
-        ]
-    )
+def _per_message(graph: Graph, product: Product, function: Callable[..., Array], *arrays: Array) -> Array:
+    """Return `function(way, row's parameters, entries of the arrays, by message)` of all messages, stacked."""
+    results, start = [], 0
+    for way, rows in zip(ways(graph), product.rows, strict=True):
+        parameters = jax.tree.map(lambda leaf, rows=rows: leaf[rows], way.term.plate.parameters)
+        messages = slice(start, start + len(rows))
+        results.append(_by_row(way, function, (parameters, *[array[messages] for array in arrays])))
+        start += len(rows)
+    return jnp.concatenate(results)
 
 
-def _numbered(graph: Graph) -> Iterator[tuple[Way, slice]]:
-    start = 0
-    for way in ways(graph):
-        yield way, slice(start, start + len(way.targets))
-        start += len(way.targets)
+def _by_row(way: Way, function: Callable[..., Array], arrays: tuple[Any, ...]) -> Array:
+    """Return the values of a function of one message for all of them. One message is enough work for a core."""
 
+    def of_message(entries: tuple[Any, ...], term: Term) -> Array:
+        return function(way._replace(term=term), *entries)
 
-def _targets(graph: Graph) -> np.ndarray:
-    return np.concatenate([way.targets for way in ways(graph)])
+    # Draws may reject in a loop, in which JAX cannot check which values differ between devices.
+    return over_particles(of_message, arrays, way.term, ROWS, checked=False)
 
 
 def _into(product: Product, values: Float[Array, "message sample *any"]) -> Float[Array, "node sample slot *any"]:
     """Return values of messages by node, sample and slot. Padding has the values of any message."""
-    return jnp.moveaxis(values[np.minimum(product.slots, len(values) - 1)], 1, 2)
+    return jnp.moveaxis(values[jnp.minimum(product.slots, len(values) - 1)], 1, 2)
 
 
 def _drawn(key: Key, graph: Graph, product: Product, labels: Int[Array, "message sample"]) -> Float[Array, "message sample *entry"]:
@@ -130,7 +135,7 @@ def _drawn(key: Key, graph: Graph, product: Product, labels: Int[Array, "message
         assert draw is not None
         return jax.vmap(lambda key, source_point: draw(key, parameters, source_point, way.reverse))(keys, points[labels])
 
-    return _per_message(graph, along_edge, jax.random.split(key, labels.shape), product.points, labels)
+    return _per_message(graph, product, along_edge, jax.random.split(key, labels.shape), product.points, labels)
 
 
 def _normals(key: Key, graph: Graph, product: Product) -> tuple[Float[Array, "message source *entry"], Float[Array, "message dimension dimension"]]:
@@ -147,7 +152,7 @@ def _normals(key: Key, graph: Graph, product: Product) -> tuple[Float[Array, "me
 def _proposal(space: Space, product: Product, normals: tuple[Array, Array], labels: Int[Array, "message sample"]) -> TangentNormal:
     """Return, for each sample, the product of the normal distributions that its labels choose."""
     means = _into(product, jax.vmap(lambda message_means, chosen: message_means[chosen])(normals[0], labels))
-    precision = normals[1][np.minimum(product.slots, len(labels) - 1)]
+    precision = normals[1][jnp.minimum(product.slots, len(labels) - 1)]
     first = jnp.argmax(product.taken, axis=2)
     reference = jnp.take_along_axis(means, first.reshape(*first.shape, 1, *[1] * (means.ndim - 3)), axis=2)[:, :, 0]
     v = jnp.asarray(space.local(reference[:, :, None], means))
@@ -171,7 +176,7 @@ def _labels(key: Key, graph: Graph, product: Product, x: Float[Array, "node samp
         return jnp.minimum(jnp.sum(cumulative <= level, axis=0), len(points) - 1)
 
     keys = jax.random.split(key, len(product.weights))
-    return _per_message(graph, draw_labels, keys, product.points, product.weights, x[_targets(graph)])
+    return _per_message(graph, product, draw_labels, keys, product.points, product.weights, x[product.targets])
 
 
 def _log_factors(
@@ -188,5 +193,5 @@ def _log_factors(
         )
         return jax.vmap(turned)(points[labels], target)
 
-    values = _into(product, _per_message(graph, log_factors, product.points, labels, x[_targets(graph)]))
+    values = _into(product, _per_message(graph, product, log_factors, product.points, labels, x[product.targets]))
     return jnp.sum(jnp.where(product.taken > 0, values, 0.0), axis=2)
