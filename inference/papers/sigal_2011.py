@@ -31,8 +31,14 @@ from reproduce import Case, Experiment, Values, reproduce
 from single_frames import SingleFrames, single_frames, track_figures
 
 RIG = "humaneva_7"
-# What finds people in single frames, and what tracks them; both by the number of parts.
-FINDS, TRACKS = {10: "sigal_2011_10", 15: "loose_limbed_15"}, {10: "loose_limbed_10", 15: "loose_limbed_15"}
+# What finds people in single frames and tracks them, by the number of parts. Both have a likelihood for each part. Messages do not see a likelihood
+# of the whole body, such as that of `loose_limbed_10`: one of 500 joint draws is effective then.
+MODELS = {10: "sigal_2011_10", 15: "loose_limbed_15"}
+# How they track. Ten parts leave out the strata of the paper, which take ten times as long (`pampas`).
+PASSING = {
+    10: {"method": "mixture", "schedule": "flooding", "samples": 300, "iterations": 4, "annealing": 1.0, "shares": (0.3, 0.05, 0.2, 0.65)},
+    15: {},
+}
 TREE, PAMPAS = "sigal_2011_tree", "sigal_2011_15"
 # What proposes places of the parts, by the words of the row.
 DETECTORS: dict[str, tuple[DetectorName, ...]] = {"without": (), "with detectors": ("limbs", "silhouettes")}
@@ -41,7 +47,7 @@ DETECTORS: dict[str, tuple[DetectorName, ...]] = {"without": (), "with detectors
 def poses(case: Case, parts: int, cameras: int) -> SingleFrames:
     """Find the person in single frames, without a first pose."""
     session = bb.unposed(case.film(RIG, case.sizes["frames"], cameras))
-    return single_frames(bb.PersonSearch(session, FINDS[parts], case.seed), range(0, session.frames, case.sizes["every"]))
+    return single_frames(bb.PersonSearch(session, MODELS[parts], case.seed), range(0, session.frames, case.sizes["every"]))
 
 
 def pose(case: Case, parts: int) -> Mapping[str, Values]:
@@ -80,16 +86,16 @@ def views(case: Case) -> Mapping[str, Values]:
     return {"views": medians | {"turned round, 3 cameras": percent(by_cameras[3]["flips"])}}
 
 
-def tracked(session: Session, model: Model, case: Case) -> Draws:
+def tracked(session: Session, model: Model, parts: int, case: Case) -> Draws:
     """Track a person by message passing, from wherever they are first detected."""
     recovery, options = bb.PersonRecovery(session, model, case.seed), {"particles": case.sizes["particles"]}
-    return bb.track(jax.random.key(case.seed), session, model, model.kernel("particle_bp"), recovery=recovery, **options)
+    return bb.track(jax.random.key(case.seed), session, model, model.kernel("particle_bp", **PASSING[parts]), recovery=recovery, **options)
 
 
 def track(case: Case, parts: int) -> Mapping[str, Values]:
     """A track by message passing, without a first pose (Table 3, Fig. 13 and 14)."""
     session = bb.unposed(case.film(RIG, case.sizes["frames"]))
-    figures, error = track_figures(session, tracked(session, bb.load_model(TRACKS[parts], session, lambda line: None), case))
+    figures, error = track_figures(session, tracked(session, bb.load_model(MODELS[parts], session, lambda line: None), parts, case))
     if case.pictures is not None:
         draw_errors(case.pictures / f"sigal_2011_track_{parts}.png", range(len(error)), error)
     return {
@@ -109,8 +115,8 @@ def tree(case: Case) -> Mapping[str, Values]:
 def convergence(case: Case) -> Mapping[str, Values]:
     """How far beliefs move in each iteration (Fig. 8 and 11), tracking ten parts."""
     session = case.film(RIG, case.sizes["frames"])
-    model = bb.load_model(TRACKS[10], session, lambda line: None)
-    kernel = model.kernel("particle_bp", iterations=case.sizes["iterations"])
+    model = bb.load_model(MODELS[10], session, lambda line: None)
+    kernel = model.kernel("particle_bp", **PASSING[10] | {"iterations": case.sizes["iterations"]})
     changes = changes_of(bb.track(jax.random.key(case.seed), session, model, kernel, particles=case.sizes["particles"]))
     if case.pictures is not None:
         draw_convergence(case.pictures / "sigal_2011_convergence.png", changes)
@@ -125,9 +131,10 @@ def recovery(case: Case) -> Mapping[str, Values]:
     black, errors = range(*case.sizes["black"]), {}
     with tempfile.TemporaryDirectory() as folder:
         session = darkened(case.film(RIG, case.sizes["frames"], 4), Path(folder), black)
-        model, key = bb.load_model(TRACKS[10], session, lambda line: None), jax.random.key(case.seed)
+        model, key = bb.load_model(MODELS[10], session, lambda line: None), jax.random.key(case.seed)
+        kernel = model.kernel("particle_bp", **PASSING[10])
         for name, restart in (("without", None), ("with", bb.PersonRecovery(session, model, case.seed))):
-            draws = bb.track(key, session, model, model.kernel("particle_bp"), particles=case.sizes["particles"], recovery=restart)
+            draws = bb.track(key, session, model, kernel, particles=case.sizes["particles"], recovery=restart)
             errors[name] = track_figures(session, draws)[1]
     after = {f"error after the black frames, {name} recovery": 1000 * float(np.mean(error[black.stop :])) for name, error in errors.items()}
     return {"recovery": after | {"error before them": 1000 * float(np.mean(errors["with"][: black.start]))}}
@@ -146,7 +153,7 @@ def detectors(case: Case) -> Mapping[str, Values]:
     sizes, values, settled = case.sizes, dict[str, float | None](), dict[str, list[float]]()
     for cameras in sizes["cameras"]:
         session = case.film(RIG, sizes["frames"], cameras, sizes["fps"])
-        model = bb.load_model(TRACKS[15], session, lambda line: None)
+        model = bb.load_model(MODELS[15], session, lambda line: None)
         kernel = model.kernel("particle_bp", samples=sizes["particles"], iterations=sizes["iterations"])
         for name, names in DETECTORS.items():
             detecting = replace(model, definition=replace(model.definition, detectors=names))
@@ -161,7 +168,7 @@ def graphs(case: Case) -> Mapping[str, Values]:
     """Nodes and edges of both graphs (Table 1, Fig. 1)."""
     del case
     figures: dict[str, float] = {}
-    for parts, name in FINDS.items():
+    for parts, name in MODELS.items():
         definition = bb.load_definition(name)
         options = {term.kind: term.options for term in definition.constraints}
         joints = tomllib.loads(learned_file(options["kinematic"].learned).with_suffix(".toml").read_text(encoding="utf-8"))["parts"]
