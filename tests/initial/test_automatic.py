@@ -76,20 +76,19 @@ def test_what_the_search_is_not_sure_of_is_shown(model, scene, found, monkeypatc
     assert len(warnings) == 3 and "face the other way, with a probability of 0.25" in warnings[0] and "probability of 0.45" in warnings[1]
 
 
-def test_one_likelihood_refines_whatever_tracks(scene):
+def test_the_same_likelihoods_refine_whatever_tracks(scene):
     """On the body and with the constraints of the model that tracks; a model of keypoints has its own."""
     session = scene(1)
     kinds = {}
     for name in ("deutscher_2005", "sidenbladh_2000_smooth", "keypoints"):
         model = build_model(name, session)
-        judge = automatic._judge(model)
-        assert judge.body is model.body
-        assert [f.name for f in judge.factors if f.side != "likelihood"] == [f.name for f in model.factors if f.side != "likelihood"]
-        kinds[name] = [f.name for f in judge.factors if f.side == "likelihood"], set(judge.observers)
-    assert kinds == {
-        "deutscher_2005": (["silhouette_edges"], {"silhouette_edges"}),
-        "sidenbladh_2000_smooth": (["silhouette_edges"], {"silhouette_edges"}),
-        "keypoints": (["markers_gaussian"], {"markers_gaussian"}),
-    }
-    (of_judge,) = [f for f in automatic._judge(build_model("deutscher_2005", session)).factors if f.side == "likelihood"]
+        judges = automatic._judges(model)
+        for judge in judges:
+            assert judge.body is model.body
+            assert [f.name for f in judge.factors if f.side != "likelihood"] == [f.name for f in model.factors if f.side != "likelihood"]
+            assert {f.name for f in judge.factors if f.side == "likelihood"} == set(judge.observers)
+        kinds[name] = [set(judge.observers) for judge in judges]
+    of_pictures = [{"silhouette_edges"}, {"silhouette_edges", "silhouette_bernoulli"}]
+    assert kinds == {"deutscher_2005": of_pictures, "sidenbladh_2000_smooth": of_pictures, "keypoints": [{"markers_gaussian"}] * 2}
+    (of_judge,) = [f for f in automatic._judges(build_model("deutscher_2005", session))[0].factors if f.side == "likelihood"]
     assert of_judge.log_potential.covers

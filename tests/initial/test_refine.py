@@ -9,7 +9,7 @@ import pytest
 
 from bayes_body.density.factor import Factor, Variable
 from bayes_body.initial.search.automatic import _other_leg
-from bayes_body.initial.search.refine import refine
+from bayes_body.initial.search.refine import LEAST_GAIN, refine
 from bayes_body.model.build import build_model
 
 SD_RAD, FOUND, POSE = 0.15, 32, Variable("pose")
@@ -37,7 +37,7 @@ def test_of_two_groups_of_poses_the_better_one_is_left_and_comes_nearer(model):
     start[knees] = -0.4, -1.2
     other, target = start.copy(), start + 0.2
     other[knees] = start[knees[::-1]]
-    found = refine(model, density_of(model, normal, jnp.asarray(target, jnp.float32)), np.repeat([other, start], FOUND, axis=0), FOUND, 0)
+    found = refine(model, (density_of(model, normal, jnp.asarray(target, jnp.float32)),) * 2, np.repeat([other, start], FOUND, axis=0), FOUND, 0)
     assert found.shape == (FOUND, len(start)) and ((found >= low - 1e-6) & (found <= high + 1e-6)).all()
     # Every dof began 0.2 away. The posterior with the power that leaves some effective draws is wider than SD_RAD.
     assert np.abs(found.mean(axis=0) - target).mean() < 0.1 and np.abs(found[:, knees].mean(axis=0) - target[knees]).max() < SD_RAD
@@ -46,7 +46,7 @@ def test_of_two_groups_of_poses_the_better_one_is_left_and_comes_nearer(model):
     assert fits[0] == max(fits)
 
 
-@pytest.mark.parametrize(("gain", "taken"), [(4.0, True), (1.0, False)])
+@pytest.mark.parametrize(("gain", "taken"), [(LEAST_GAIN + 2, True), (LEAST_GAIN - 2, False)])
 def test_another_arm_is_taken_if_it_gains_enough(model, gain, taken):
     low, high = np.asarray(model.body.skeleton.low, float), np.asarray(model.body.skeleton.high, float)
     start = np.clip(np.asarray(model.first_pose, float), low + 0.3, high - 0.3)
@@ -59,7 +59,7 @@ def test_another_arm_is_taken_if_it_gains_enough(model, gain, taken):
         return jnp.logaddexp(normal(hanging, values, data), gain + normal(other, values, data))
 
     targets = [jnp.asarray(pose, jnp.float32) for pose in (start, out)]
-    found = refine(model, density_of(model, either, *targets), np.tile(start, (FOUND, 1)), FOUND, 0)
+    found = refine(model, (density_of(model, either, *targets),) * 2, np.tile(start, (FOUND, 1)), FOUND, 0)
     to_hanging, to_other = (np.abs(found[:, arm] - pose[arm]).mean(axis=1) for pose in (start, out))
     assert (np.mean(to_other < to_hanging) > 0.9) if taken else (to_hanging < to_other).all()
 
@@ -67,7 +67,7 @@ def test_another_arm_is_taken_if_it_gains_enough(model, gain, taken):
 def test_poses_stay_where_none_is_allowed(model):
     start = np.tile(np.asarray(model.first_pose, float), (FOUND, 1))
     nothing = density_of(model, lambda values, data: jnp.where(values[POSE][0] > -1e9, -jnp.inf, 0.0))
-    np.testing.assert_array_equal(refine(model, nothing, start, 5, 0), start[:5])
+    np.testing.assert_array_equal(refine(model, (nothing, nothing), start, 5, 0), start[:5])
 
 
 def test_legs_change_places_below_the_hip():

@@ -81,8 +81,9 @@ def nobody_first(session: Session) -> str | None:
     return f"Nobody is detected in frame {first}, the first one; somebody is in frame {session.frame_number(later_index)}: {remedy}."
 
 
-# The definition whose likelihood compares the body with the silhouette, and the silhouette with the body.
-JUDGE = "silhouettes"
+# The definitions whose likelihoods refine found poses: that of the first rounds, and the one that is added to it in the later rounds. Both compare
+# the body with the silhouette, and the silhouette with the body.
+JUDGES = "silhouettes", "silhouette_pixels"
 # Number of poses that are drawn.
 DRAWS = 32
 # Limits for warnings: the shares of the weight that faces the other way or is elsewhere, and the number of effective draws.
@@ -157,13 +158,13 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     if model.body.variable != POSE:
         return estimate
     exchanged = fit_to(model, session, person._replace(names=tuple(map(_other_leg, person.names))), seed)
-    measured_frame, judge = read_frame(session, frame), _judge(model)
-    placed = judge.at(measured_frame.cameras) if session.moves else judge
-    density = everywhere(placed.density(placed.observe(measured_frame), placed.start(1)))
+    measured_frame = read_frame(session, frame)
+    placed = [judge.at(measured_frame.cameras) if session.moves else judge for judge in _judges(model)]
+    first, later = (everywhere(judge.density(judge.observe(measured_frame), judge.start(1))) for judge in placed)
     # Each facing keeps its share: one frame must not change what several frames have decided.
     is_main_way = _is_ahead(person)[_taken(person, seed)]
     refined = [
-        refine(model, density, np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), int(way.sum()), seed)
+        refine(model, (first, later), np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), way.sum(), seed)
         for way in (is_main_way, ~is_main_way)
         if way.any()
     ]
@@ -171,13 +172,17 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     return estimate._replace(pose=draws[0], draws=draws)
 
 
-def _judge(model: Model) -> Model:
-    """Return the model whose likelihood refines found poses: the model itself if it compares keypoints, else with the likelihood of JUDGE.
+def _judges(model: Model) -> tuple[Model, Model]:
+    """Return the models whose likelihoods refine found poses: the model itself if it compares keypoints, else with the likelihoods of JUDGES.
 
     Many likelihoods reward a body inside the silhouette but ignore what it leaves uncovered; others say nothing about a single frame. With them, arms
     end up folded in front of the trunk.
     """
-    return model if "keypoints" in model.reads else with_likelihoods(model, JUDGE)
+    if "keypoints" in model.reads:
+        return model, model
+    first, added = (with_likelihoods(model, name) for name in JUDGES)
+    likelihoods = [factor for factor in added.factors if factor.side == "likelihood"]
+    return first, replace(first, factors=(*likelihoods, *first.factors), observers={**first.observers, **added.observers})
 
 
 def _is_ahead(person: Found) -> Bool[np.ndarray, " draw"]:

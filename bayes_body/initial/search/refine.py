@@ -1,13 +1,16 @@
-"""Refine found poses by a likelihood of the whole body, which brings them nearer to the person, and may exchange the legs and move the arms.
+"""Refine found poses by likelihoods of the whole body, which bring them nearer to the person, and may exchange the legs and move the arms.
 
 The search has a separate likelihood for each part, and may exchange legs. A likelihood of the whole body can tell the legs apart. The found poses,
 and copies with the legs exchanged, therefore become the particles of a filter that sees the frame several times. From round to round the steps of
 the dofs get smaller. Particles are weighted with a power of the likelihood, at most 1, that leaves EFFECTIVE of them effective. The poses therefore
 stay as diverse as the picture allows.
 
-Before one of the rounds, arms that stand out are looked for. The joints of the search are those of people who walk, so it finds hanging arms. Each
-arm of a pose is therefore compared with arms drawn uniformly within the joint limits. The best of these, and the arm that was found, climb to their
-nearest maxima. Another arm is used only if it gains LEAST_GAIN: many arms within the joint limits are in front of the trunk or behind it, where
+The later rounds have a sharper likelihood, which counts the pixels of whole silhouettes: it knows best whether an arm or a shoulder is outside the
+silhouette or leaves a part of it uncovered. The first rounds are without it, because it tells the legs apart worse.
+
+Before one of the later rounds, arms that stand out are looked for. The joints of the search are those of people who walk, so it finds hanging arms.
+Each arm of a pose is therefore compared with arms drawn uniformly within the joint limits. The best of these, and the arm that was found, climb to
+their nearest maxima. Another arm is used only if it gains LEAST_GAIN: many arms within the joint limits are in front of the trunk or behind it, where
 silhouettes do not distinguish them from a hanging arm.
 """
 
@@ -32,8 +35,8 @@ from bayes_body.model.build import Model
 
 # Dofs of an arm. A body with other names keeps its arms.
 ARM = "_(clavicle|shoulder|elbow|wrist)"
-# Log-likelihood that another arm must gain. Arms of walkers gained 2.6 at most (32 comparisons), arms that stand out 2.2 to 4.0 (six).
-LEAST_GAIN = 3.0
+# Log-likelihood that another arm must gain. Arms of walkers gained 11.2 at most, arms that stand out and were missed 12 to 54.
+LEAST_GAIN = 13.0
 # Number of drawn arms of each side that climb; and the standard deviations of their steps, degrees.
 CLIMB, STEPS_DEG = 11, (10.0, 6.0, 4.0, 2.5, 1.5)
 
@@ -113,39 +116,42 @@ MANY, EFFECTIVE = 8_192, 96
 # The log-weight of a pose that a constraint forbids: finite, because it is multiplied by powers that may be 0.
 IMPOSSIBLE = -1e30
 # Steps of each round: standard deviations of angles, degrees, and of positions, metres.
-ROUNDS = ((10.0, 0.03), (6.0, 0.02), (4.0, 0.015), (3.0, 0.01), (3.0, 0.01))
-# The round before which arms that stand out are looked for, once the poses are near.
-ARMS_BEFORE = 3
+ROUNDS = ((10.0, 0.03), (6.0, 0.02), (4.0, 0.015), (3.0, 0.01), (3.0, 0.01), (2.0, 0.007))
+# The first round with the sharper likelihood. Before it, arms that stand out are looked for, once the poses are near.
+SHARPER_FROM = 2
 
 
-def refine(model: Model, density: Density, poses: Float[np.ndarray, "pose dof"], count: int, seed: int) -> Float[np.ndarray, "draw dof"]:
+def refine(
+    model: Model, densities: tuple[Density, Density], poses: Float[np.ndarray, "pose dof"], count: int, seed: int
+) -> Float[np.ndarray, "draw dof"]:
     """Return `count` equally likely poses, the likeliest one first.
 
     Args:
         model: the model that will track; its body is placed by angles.
-        density: its density of the frame.
+        densities: densities of the frame: of the first rounds, and of those from SHARPER_FROM on.
         poses: the poses, radians and metres; all have the same weight.
         count: number of poses to return.
         seed: random seed.
     """
     random, log_weights, skeleton = np.random.default_rng(seed), jax.jit(_log_weights), model.body.skeleton
 
-    def evaluate(poses: Float[np.ndarray, "pose dof"]) -> Float[np.ndarray, " pose"]:
+    def evaluate(density: Density, poses: Float[np.ndarray, "pose dof"]) -> Float[np.ndarray, " pose"]:
         return np.asarray(log_weights(everywhere(np.asarray(poses, model.body.lengths.dtype)), density), float)
 
     low, high = np.asarray(skeleton.low, float), np.asarray(skeleton.high, float)
     keys = jax.random.split(jax.random.key(seed), len(ROUNDS) + 1)
     initial_poses, weights = poses, np.zeros(len(poses))
     for number, (key, (step_deg, step_m)) in enumerate(zip(keys, ROUNDS, strict=False)):
+        density = densities[number >= SHARPER_FROM]
         best = poses[weights.argmax()]
         poses = poses[np.asarray(resampled(key, weights, MANY))]
-        if number == ARMS_BEFORE:
+        if number == SHARPER_FROM:
             # Half of the particles get the other arm; the likelihood decides.
-            for dofs, values in other_arms(skeleton, evaluate, best, MANY, random):
+            for dofs, values in other_arms(skeleton, partial(evaluate, density), best, MANY, random):
                 poses[np.ix_(random.random(MANY) < 0.5, dofs)] = values
         steps = np.where(skeleton.topology.angular, np.radians(step_deg), step_m) * random.normal(size=(MANY, len(low)))
         poses = np.clip(poses + steps, low, high)
-        weights = evaluate(poses)
+        weights = evaluate(density, poses)
         allowed = np.isfinite(weights)
         if not allowed.any():
             return initial_poses[:count]
