@@ -74,6 +74,17 @@ class Case(NamedTuple):
             raise input_error("--motions", "not given", expected, "give it, or set BAYES_BODY_DATA to the folder that holds cmu_mocap")
         return self.motions / name.split("_")[0] / f"{name}.amc"
 
+    def recorded(self, name: str) -> Path:
+        """Return the folder of a real recording, which is beside the captured motions.
+
+        Raises:
+            InputError: nobody has said where it is, or it is not there.
+        """
+        folder = None if self.motions is None else self.motions.parent / name
+        if folder is None or not folder.is_dir():
+            raise input_error(name, "not there", "a folder of this name beside the CMU database", "set BAYES_BODY_DATA, or leave out this row")
+        return folder
+
     def film(self, rig: str, frames: int, cameras: int | None = None, fps: float | None = None, radius_m: float | None = None) -> Session:
         """Return the film of the subject's walk, whose first pose is placed by hand. It is filmed if that was not done before.
 

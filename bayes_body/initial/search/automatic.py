@@ -160,11 +160,13 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     exchanged = fit_to(model, session, person._replace(names=tuple(map(_other_leg, person.names))), seed)
     measured_frame = read_frame(session, frame)
     placed = [judge.at(measured_frame.cameras) if session.moves else judge for judge in _judges(model)]
-    first, later = (everywhere(judge.density(judge.observe(measured_frame), judge.start(1))) for judge in placed)
+    coarse, sharp = (everywhere(judge.density(judge.observe(measured_frame), judge.start(1))) for judge in placed)
     # Each facing keeps its share: one frame must not change what several frames have decided.
     is_main_way = _is_ahead(person)[_taken(person, seed)]
     refined = [
-        refine(model, (first, later), np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), way.sum(), seed)
+        refine(
+            model, (coarse, sharp), np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), way.sum(), seed
+        )
         for way in (is_main_way, ~is_main_way)
         if way.any()
     ]
