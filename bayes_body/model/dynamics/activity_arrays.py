@@ -6,6 +6,7 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpyro.distributions import MultivariateNormal
 from pydantic import Field
 
 from bayes_body.base.errors import input_error, nearest
@@ -48,6 +49,9 @@ class Options(Schema):
     """[s] time in which a residual decays to 1/e; its standard deviation is the activity's."""
     momentum: Share = 0.0
     """share of the last step that the position keeps; 0: a random walk."""
+    momentum_aside: Share | None = None
+    """the same for the part of the last step across the direction in which the pelvis faces; none: like the rest. With less, a walker goes where
+    the body faces, so one camera sees by its turn how fast it comes nearer."""
     position_sd_m: Positive | None = None
     """[metres per frame] noise of the position; none: half the largest change between two frames of the training motions."""
     orientation_sd_deg: Positive | None = None
@@ -63,8 +67,8 @@ class ActivityArrays(NamedTuple):
 
     `mean`: pose of the learned dofs for f = 0 and r = 0. `transition`, `locations` and `factor` (Cholesky factors of the covariances): the hidden
     Markov model at the frame rate. `sd`: of the free variables and the residual, per frame. `keep`: what remains of a residual after a frame.
-    `learned`, `head`: where these dofs are in the pose. `steps`: as many entries as the state that stays longest needs transitions at the full
-    temperature.
+    `first_step`: standard deviation of the step before the first frame. `learned`, `head`: where these dofs are in the pose. `steps`: as many entries
+    as the state that stays longest needs transitions at the full temperature.
     """
 
     mean: Float[Array, " dof"]
@@ -79,6 +83,8 @@ class ActivityArrays(NamedTuple):
     head: Array
     temperature: Scalar
     momentum: Scalar
+    momentum_aside: Scalar
+    first_step: Float[Array, "3"]
     keep: Scalar
     steps: Float[Array, " transition"]
     sd: State
@@ -157,6 +163,8 @@ def activity_arrays(options: Options, activity: Activity, body: Body, fps: float
     change[:2] = change[:2].max()
     sd = {name: change[index] for name, index in ((POSITION, slice(0, 3)), (ORIENTATION, slice(3, ROOT_DOFS)), (HEAD, head))}
     sd |= {name: value * rate_factor * (1.0 if name == POSITION else math.radians(1.0)) for name, value in option_sds.items() if value is not None}
+    first_step = frames * np.maximum(activity.change[:3], LEAST_CHANGE)
+    first_step[:2] = first_step[:2].max()
     if not head.size:
         del sd[HEAD]
     keep = math.exp(-1 / (fps * options.residual_s))
@@ -172,6 +180,8 @@ def activity_arrays(options: Options, activity: Activity, body: Body, fps: float
         "factor": np.linalg.cholesky(activity.covariances),
         "temperature": options.temperature,
         "momentum": options.momentum,
+        "momentum_aside": options.momentum if options.momentum_aside is None else options.momentum_aside,
+        "first_step": first_step,
         "keep": keep,
         "steps": np.zeros(most),
     }
@@ -184,3 +194,18 @@ def activity_arrays(options: Options, activity: Activity, body: Body, fps: float
         head=jnp.asarray(head),
         sd={name: jnp.asarray(value, dtype) for name, value in sd.items()},
     )
+
+
+def derive_pose(arrays: ActivityArrays, sampled: State) -> dict[str, Array]:
+    """Return the pose of the sampled variables, within the joint limits."""
+    joints = arrays.mean + arrays.basis @ sampled[FEATURES] + sampled.get(RESIDUAL, 0.0)
+    pose = jnp.zeros_like(arrays.low).at[:ROOT_DOFS].set(jnp.concatenate([sampled[POSITION], sampled[ORIENTATION]]))
+    pose = pose.at[arrays.learned].set(joints)
+    if HEAD in sampled:
+        pose = pose.at[arrays.head].set(sampled[HEAD])
+    return {POSE: jnp.clip(pose, arrays.low, arrays.high)}
+
+
+def log_emissions(arrays: ActivityArrays, features: Array) -> Float[Array, " state"]:
+    """Return log N(f; μ, Σ) for each state."""
+    return MultivariateNormal(arrays.locations, scale_tril=arrays.factor).log_prob(features)
