@@ -50,8 +50,8 @@ class Options(Schema):
     momentum: Share = 0.0
     """share of the last step that the position keeps; 0: a random walk."""
     momentum_aside: Share | None = None
-    """the same for the part of the last step across the direction in which the pelvis faces; none: like the rest. With less, a walker goes where
-    the body faces, so one camera sees by its turn how fast it comes nearer."""
+    """the same for the part of the last step across the direction in which the pelvis faces; none: the same share. With less, a walker goes
+    where the pelvis faces, so that the turn of the body tells one camera how fast it comes nearer."""
     position_sd_m: Positive | None = None
     """[metres per frame] noise of the position; none: half the largest change between two frames of the training motions."""
     orientation_sd_deg: Positive | None = None

@@ -11,7 +11,8 @@ with the mean pose m of a known subject, or the average of all. One learned file
 $$p(f_t \mid a_{t-1}) = \sum_j (a_{t-1} A)_j\, N(f_t; \mu_j, \Sigma_j), \qquad a_{t,j} \propto (a_{t-1} A)_j\, N(f_t; \mu_j, \Sigma_j).$$
 
 The residual, which the paper lacks, is an autoregressive process of first order with the standard deviation of what the features leave. For an
-unknown subject, the spread of the subjects' mean poses is added. The free variables are a random walk; the position may keep a share of its step.
+unknown subject, the spread of the subjects' mean poses is added. The free variables are a random walk; the position may keep a share of its step,
+and less of its part across the direction in which the pelvis faces. The step before the first frame is unknown.
 
 **As the paper's proposal**, which annealing kernels use (`explore`). In layer r, with $\lambda = \tau^{R-r}$, the most likely state i of f makes
 

@@ -237,6 +237,17 @@ def test_the_first_layer_keeps_a_share_of_the_step(path, activity):
         assert np.allclose(ways[1] - ways[0], share * np.array([0.02, -0.01, 0.004]), atol=1e-6)
 
 
+def test_the_step_aside_is_kept_less(path, activity):
+    """Along the direction in which the pelvis faces the position keeps its usual share, also of the step upwards."""
+    prior = _prior(path, momentum=0.9, momentum_aside=0.2)
+    state = _state(prior, activity)
+    yaw = float(state["orientation"][0])
+    ahead, aside, up = np.array([math.cos(yaw), math.sin(yaw), 0]), np.array([-math.sin(yaw), math.cos(yaw), 0]), np.array([0, 0, 1.0])
+    state["position_before"] = state["position"] - jnp.asarray(0.02 * ahead - 0.01 * aside + 0.004 * up)
+    kept = np.asarray(_conditional(prior, state)["position"].mean) - np.asarray(state["position"])
+    assert np.allclose(kept, 0.9 * (0.02 * ahead + 0.004 * up) - 0.2 * 0.01 * aside, atol=1e-6)
+
+
 def test_a_layer_of_an_annealing_kernel_explores(path, activity):
     prior = _prior(path)
     state = _state(prior, activity)
