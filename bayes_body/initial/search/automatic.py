@@ -163,12 +163,9 @@ def poses_of(model: Model, session: Session, person: Found, frame: int = 0, seed
     coarse, sharp = (everywhere(judge.density(judge.observe(measured_frame), judge.start(1))) for judge in placed)
     # Each facing keeps its share: one frame must not change what several frames have decided.
     is_main_way = _is_ahead(person)[_taken(person, seed)]
+    poses = np.concatenate([np.asarray(pose_fit.draws, float) for pose_fit in (estimate, exchanged)])
     refined = [
-        refine(
-            model, (coarse, sharp), np.concatenate([np.asarray(pose_fit.draws, float)[way] for pose_fit in (estimate, exchanged)]), way.sum(), seed
-        )
-        for way in (is_main_way, ~is_main_way)
-        if way.any()
+        refine(model, (coarse, sharp), poses[np.concatenate([way, way])], int(way.sum()), seed) for way in (is_main_way, ~is_main_way) if way.any()
     ]
     draws = jnp.asarray(np.concatenate(refined).round(DIGITS))
     return estimate._replace(pose=draws[0], draws=draws)
