@@ -79,8 +79,8 @@ def _nearest(arrays: ActivityArrays, body: Body, pose: Pose) -> dict[str, Array]
     """Return the sampled variables that place the markers nearly as a pose does and that the activity expects."""
     covariances = arrays.factor @ jnp.swapaxes(arrays.factor, 1, 2)
     mean = arrays.initial @ arrays.locations
-    away = arrays.locations - mean
-    root = jnp.linalg.cholesky(jnp.einsum("s,sfg->fg", arrays.initial, covariances + away[:, :, None] * away[:, None, :]))
+    offsets = arrays.locations - mean
+    root = jnp.linalg.cholesky(jnp.einsum("s,sfg->fg", arrays.initial, covariances + offsets[:, :, None] * offsets[:, None, :]))
     start = {FEATURES: mean, POSITION: pose[:3], ORIENTATION: pose[3:ROOT_DOFS]}
     if HEAD in arrays.sd:
         start[HEAD] = pose[arrays.head]

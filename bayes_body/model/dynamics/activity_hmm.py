@@ -57,7 +57,7 @@ from bayes_body.model.dynamics.activity_arrays import (
 from bayes_body.model.dynamics.activity_first import begin
 
 
-def _kept_step(arrays: ActivityArrays, previous: State) -> Float[Array, "3"]:
+def _carried_step(arrays: ActivityArrays, previous: State) -> Float[Array, "3"]:
     """Return what the position keeps of its last step: along the direction in which the pelvis faces, and across it."""
     step, yaw = previous[POSITION] - previous.get(BEFORE, previous[POSITION]), previous[ORIENTATION][0]
     aside = jnp.stack([-jnp.sin(yaw), jnp.cos(yaw), jnp.zeros_like(yaw)])
@@ -69,7 +69,7 @@ def _conditional(arrays: ActivityArrays, previous: State) -> dict[str, Distribut
     emitted = MultivariateNormal(arrays.locations, scale_tril=arrays.factor)
     distributions: dict[str, Distribution] = {
         FEATURES: MixtureSameFamily(Categorical(probs=belief), emitted),
-        POSITION: _normal(previous[POSITION] + _kept_step(arrays, previous), arrays.sd[POSITION]),
+        POSITION: _normal(previous[POSITION] + _carried_step(arrays, previous), arrays.sd[POSITION]),
         ORIENTATION: _normal(previous[ORIENTATION], arrays.sd[ORIENTATION]),
     }
     if HEAD in arrays.sd:
@@ -114,7 +114,7 @@ def _explore(arrays: ActivityArrays, key: Key, state: State, previous: State, sc
     noise = arrays.factor[reached] @ jax.random.normal(emit_key, centre.shape, centre.dtype)
     free = zip(arrays.sd.items(), keys, strict=True)
     moved = {name: state[name] + scale * sd * jax.random.normal(noise_key, state[name].shape, centre.dtype) for (name, sd), noise_key in free}
-    moved[POSITION] += jnp.where(scale < 1, 0.0, _kept_step(arrays, previous))
+    moved[POSITION] += jnp.where(scale < 1, 0.0, _carried_step(arrays, previous))
     return {FEATURES: centre + jnp.sqrt(scale) * noise, **moved}
 
 

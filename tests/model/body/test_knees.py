@@ -15,7 +15,7 @@ def _degrees(skeleton, dof_names, side):
     return {name: float(np.degrees(getattr(skeleton, side)[dof_names.index(name)])) for name in KNEES if name in dof_names}
 
 
-@pytest.mark.parametrize("name", [name for name in definition_names("bodies") if name != "arm_4"])
+@pytest.mark.parametrize("name", [name for name in definition_names("bodies") if name not in ("arm_4", "sidenbladh_4")])
 def test_a_knee_bends_forwards_by_five_to_ten_degrees(name):
     body = build_body(name, load_body(name))
     limits = _degrees(body.skeleton, body.dof_names, "high")
