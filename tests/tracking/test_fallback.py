@@ -91,7 +91,7 @@ def test_only_the_first_frame_of_a_fallback_waits_for_its_program(textured_sessi
     assert np.flatnonzero([frame.seconds_ready > 0 for frame in draws.frames]).tolist() == [0, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_laplace_falls_back_in_tracking_as_it_does_alone(keypoint_session, monkeypatch):
     model = build_model("arm_markers", keypoint_session)
     # No frame is good enough for it.

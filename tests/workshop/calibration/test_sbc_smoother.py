@@ -135,7 +135,7 @@ def _p_values(ranks):
     return bands.p_values(bands.rank_counts(ranks, BINS))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gaussian_paths_are_calibrated(gaussian):
     p = _p_values(gaussian())
     print(np.sort(p)[:4])
