@@ -210,7 +210,7 @@ EXPERIMENTS = (
     ),
     Experiment(("real_recording",), real_recording, {"cameras": 4}, pairs=[(BODYTRACK, seed) for seed in range(10)]),
     Experiment(
-        ("recovery",), recovery, {"frames": 25, "black": [10, 14], "particles": 500}, {"frames": 4, "black": [1, 2], "particles": 50}, costly=True
+        ("recovery",), recovery, {"frames": 48, "black": [8, 38], "particles": 500}, {"frames": 4, "black": [1, 2], "particles": 50}, costly=True
     ),
 )
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from error_plot import LIMITS_M
 from jaxtyping import Bool, Float
 
 from bayes_body.base.progress import Watch, unwatched
@@ -19,9 +20,6 @@ from bayes_body.recording.session.session import Session
 from bayes_body.results.metrics.truth import draws_against_truth, true_markers
 from bayes_body.results.posterior import markers, mean_pose
 from bayes_body.tracking.draws import Draws
-
-# The limits of the paper's Table 3, metres.
-LIMITS_M = (0.08, 0.12)
 
 
 class SingleFrames(NamedTuple):
@@ -146,5 +144,5 @@ def error_figures(error_m: Float[np.ndarray, " frame"]) -> dict[str, Any]:
     known = error_m[np.isfinite(error_m)]
     moments = {"median_mm": np.median, "mean_mm": np.mean, "sd_mm": np.std}
     figures: dict[str, Any] = {name: 1000 * float(moment(known)) if known.size else None for name, moment in moments.items()}
-    limits = {f"under_{1000 * limit:.0f}": float((error_m < limit).mean()) if known.size else None for limit in LIMITS_M}
+    limits = {f"under_{1000 * limit:.0f}": float((error_m < limit).mean()) if known.size else None for limit in LIMITS_M.values()}
     return figures | limits | {"frames": len(error_m)}
