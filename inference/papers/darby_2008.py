@@ -63,7 +63,8 @@ def two_cameras(case: Case) -> Mapping[str, Values]:
     tracks = followed(case, 2, (GUIDED, PLAIN))
     guided, plain = tracks[GUIDED], tracks[PLAIN]
     if case.pictures is not None:
-        panels = {kind: {name: getattr(track, field) for name, track in tracks.items()} for kind, field in PANELS.items()}
+        named = {"guided": guided, "plain": plain}
+        panels = {kind: {name: getattr(track, field) for name, track in named.items()} for kind, field in PANELS.items()}
         draw_error_curves(case.pictures / "darby_2008_two_cameras.png", panels)
     return {
         "two_cameras": {
