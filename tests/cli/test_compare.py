@@ -156,6 +156,7 @@ def test_another_motion_or_limit_is_a_prior(runs, capsys):
     assert status == 0 and "`first` is preferred to `slower`" in out
 
 
+@pytest.mark.slow
 def test_a_window_says_what_its_chains_say(runs, capsys, tmp_path, monkeypatch):
     """The chains themselves are tested in closed_forms/test_window_evidence.py, and all together in programs/test_window.py."""
     sampled = {}

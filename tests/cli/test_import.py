@@ -108,6 +108,7 @@ def damaged(cli, copy, tmp_path):
     return call
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", LATER)
 def test_images_damaged_after_the_import(damaged, fault):
     name, damage, parts = LATER[fault]

@@ -63,6 +63,7 @@ def test_without_the_option_nothing_foreign_is_run(track, tmp_path):
     track(tmp_path / "run").refuses("likelihood #1.kind: likelihood 'brightness' does not exist")
 
 
+@pytest.mark.slow
 def test_a_run_keeps_the_plugin_s_text(track, files, run):
     outcome = track(run, "--plugin", files / "mine.py")
     assert outcome.status == 0, outcome.err
@@ -86,6 +87,7 @@ def test_what_reads_a_run_asks_for_its_plugin(alone, track, run, files, verb, tm
     assert alone(*command, "--plugin", files / "mine.py").status == 0
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_its_plugin_only(track, run, files, tmp_path):
     track(run, "--resume").refuses("the run has terms of mine.py, which is not loaded", "give that file with --plugin")
     (tmp_path / "mine.py").write_text(GOOD.replace("** 2", "** 4"), encoding="utf-8")

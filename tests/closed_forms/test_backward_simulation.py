@@ -78,6 +78,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("process", "way"), CASES)
 def test_the_paths_are_those_of_the_exact_smoother(process, way):
     check(process, **WAYS[way])

@@ -129,6 +129,7 @@ def _masses(transition, state):
     return jax.lax.map(mass, jnp.arange(pose.size))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", WITH_NEW_MOTION, indirect=True)
 def test_each_dof_of_the_transition_integrates_to_one(model):
     """The dofs are independent: varying one alone leaves the others' log-density constant, which is divided out."""

@@ -75,6 +75,7 @@ def test_they_are_those_of_the_exact_smoother_whatever_the_draws():
         assert off[apart < 2].max() < 2e-3 and off.max() < 0.08
 
 
+@pytest.mark.slow
 def test_those_of_all_runs_together_are_those_of_each_run():
     """In pieces of several frames; one run starts anew on the way. From any frame they go on to the same numbers."""
     runs, count, paths, transition = 2, 20, 30, _turning(0, None).transition

@@ -146,6 +146,7 @@ def test_all_weights_are_equal_where_all_is_normal():
         assert np.abs(weights - weights.mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_coupling_of_the_wrong_frame_is_found_out(monkeypatch):
     monkeypatch.setattr(elimination, "_from_next", lambda couplings: couplings)
     jax.clear_caches()
@@ -196,6 +197,7 @@ def by_quadrature(entry):
     return means, np.sqrt([marginal @ (x - mean) ** 2 / marginal.sum() for marginal, mean in zip(marginals, means, strict=True)])
 
 
+@pytest.mark.slow
 def test_marginals_near_limits_are_close_to_those_of_quadrature():
     solved, _, _ = limited()
     assert int(solved.steps) <= 10 and float(solved.promise) < joint.TOLERANCE
@@ -231,6 +233,7 @@ def test_paths_that_are_given_back_lie_inside_the_limits():
     np.testing.assert_allclose(solved.high, HIGH, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_walk_that_is_pushed_far_beyond_its_limit_settles():
     targets = np.tile([[-3.0, 4.0]], (30, 1))
     solved, _, _ = limited(targets)

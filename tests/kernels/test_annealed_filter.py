@@ -62,6 +62,7 @@ def test_the_survival_rate_counts_constraints_in():
 _kernel = jax.jit(build_kernel(layers=8, survival_rate=0.5))
 
 
+@pytest.mark.slow
 def test_every_layer_survives_at_the_rate_and_powers_are_said():
     particles, density = _problem(2000)
     _, info = _kernel(jax.random.key(0), particles, density)

@@ -79,12 +79,14 @@ def test_of_a_gaussian_everything_is_exact_whatever_the_draws(key):
 
 
 # What a kernel must not leave out: each of them is noticed by the exact answers above.
+@pytest.mark.slow
 def test_outer_curvature_without_its_sign_is_found_out(monkeypatch):
     monkeypatch.setattr("bayes_body.density.expansion.without_negative", lambda matrices: without_negative(-matrices))
     with pytest.raises(AssertionError):
         check_gaussian()
 
 
+@pytest.mark.slow
 def test_weights_without_the_density_of_the_proposal_are_found_out(monkeypatch):
     honest = proposal.draw
     monkeypatch.setattr(laplace_filter, "draw", lambda *given: (draws := honest(*given)) and (draws[0], jnp.zeros_like(draws[1])))
@@ -92,6 +94,7 @@ def test_weights_without_the_density_of_the_proposal_are_found_out(monkeypatch):
         check_gaussian()
 
 
+@pytest.mark.slow
 def test_draws_without_exact_moments_are_found_out(monkeypatch):
     def pairs(normal, count):
         return jnp.concatenate([normal, -normal])
@@ -143,6 +146,7 @@ def test_of_a_skewed_target_moments_and_evidence_are_those_of_quadrature():
     check_skewed()
 
 
+@pytest.mark.slow
 def test_a_second_attempt_that_finds_no_other_mode_keeps_the_draws_of_the_first():
     """Its own draws come from a mixture, in which few weights count."""
     target = density(_gumbel)
@@ -155,6 +159,7 @@ def test_a_second_attempt_that_finds_no_other_mode_keeps_the_draws_of_the_first(
     assert np.abs(other.mean - first.mean).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_slopes_left_out_are_found_out(monkeypatch):
     monkeypatch.setattr(laplace_filter, "corrected_moments", lambda draws, log_weights, slopes: moment_correction.moments(draws, log_weights))
     with pytest.raises(AssertionError):
@@ -176,6 +181,7 @@ def test_several_starts_find_both_modes():
     assert single.covariance[0, 0] < 0.1 or int(single.info.modes["attempt"]) > 0
 
 
+@pytest.mark.slow
 def test_a_frame_that_importance_sampling_cannot_do_is_done_by_tempering():
     def peaked(rows, data):
         # A narrow peak on heavy tails, which have most of the mass: the Gaussian at the mode is far too narrow.
@@ -197,6 +203,7 @@ def test_the_tail_of_the_weights_is_that_of_the_diagnostics():
         np.testing.assert_allclose(inside, np.nan if outside == -np.inf else outside, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_composed_and_plain_factors_have_the_same_expansion():
     composed = density(matrix=np.array([[1.0, 0.5, 0.0], [0.0, 1.0, -1.0], [0.3, 0.0, 0.2]]))
     (factor,) = composed.factors

@@ -91,6 +91,7 @@ def test_a_truth_that_is_too_rough_is_said():
     assert "a variance above 10% is too much: these ratios are meaningless; leave out --quick" in ev.summary(doubtful)
 
 
+@pytest.mark.slow
 def test_a_rough_truth_adds_nothing_to_an_error_on_average():
     """Its noise is as large as the error² of the better sampler. Deviations from its mean would count half of it."""
     rng, noise, variances = np.random.default_rng(5), np.full(1, 0.01), (0.1, 0.01)

@@ -176,6 +176,7 @@ def test_an_interrupted_run_goes_on_to_the_same_end(looped, tmp_path, uninterrup
     assert [frame.seconds_ready > 0 for frame in frames] == [True, False, False, True, False, False]
 
 
+@pytest.mark.slow
 def test_more_frames_may_be_asked_for(looped, tmp_path, uninterrupted):
     out = tmp_path / "run"
     run(Settings(looped(FRAMES), out, frames=2, **SMALL), lambda line: None, bar=False)
@@ -365,6 +366,7 @@ def test_frames_of_another_seed_are_not_adopted(looped, tmp_path, uninterrupted,
     assert digests(out) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["posterior.nc", "summary.json", "manifest.json"])
 def test_a_changed_result_is_made_again_from_the_frames(looped, tmp_path, uninterrupted, name):
     out = shutil.copytree(uninterrupted, tmp_path / "run")
@@ -407,6 +409,7 @@ def test_frames_of_another_size_are_not_continued(textured_session, sizes, said)
         track(key, textured_session, model, kernel, **{"particles": 40, "runs": 2, **sizes}, into=list(whole.frames))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["posterior", "summary"])
 def test_what_fails_after_the_last_frame_is_made_by_the_next_one(looped, tmp_path, uninterrupted, monkeypatch, what):
     """A disk that is full once the frames are kept."""

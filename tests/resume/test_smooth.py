@@ -94,6 +94,7 @@ def test_after_a_stop_it_goes_on_to_the_same_paths(filtered, smoothed, tmp_path,
     assert (out / "posterior.nc").read_bytes() == (whole / "posterior.nc").read_bytes()
 
 
+@pytest.mark.slow
 def test_gaussian_paths_go_on_in_pieces_to_the_same_paths(filtered, tmp_path, monkeypatch):
     whole, out, lines, write, draws = tmp_path / "whole", tmp_path / "run", [], frame_files.write_together, DRAWS | {"start": "gaussian"}
     monkeypatch.setattr(gaussian_walk, "PIECE", 2)
@@ -138,6 +139,7 @@ def test_other_folders_are_refused(filtered, smoothed, looped, tmp_path):
         smooth_run(SmoothSettings(filtered, seeker, DRAWS, resume=True), quiet, bar=False)
 
 
+@pytest.mark.slow
 def test_without_its_recording_a_run_is_smoothed_only_without_moves(filtered, tmp_path, monkeypatch):
     monkeypatch.setattr(SavedRun, "changed_inputs", frozenset({"images of a"}))
     with pytest.raises(InputError, match=r"images of a: changed or gone since the run was made; .*--moves 0"):

@@ -92,6 +92,7 @@ def test_a_row_of_a_study_shows_the_figures_and_the_picture_of_all_runs(singles,
     assert row.seconds == pytest.approx(sum(read_summary(folder)["seconds_total"] for folder in singles))
 
 
+@pytest.mark.slow
 def test_after_a_stop_it_is_made_again_to_the_same_bits_and_once_made_it_stays(singles, combined, tmp_path, monkeypatch):
     out, lines, write = tmp_path / "all_runs", [], frame_archive.FrameArchive.write
 

@@ -61,6 +61,7 @@ def equal(one, other):
 
 
 # The kernel's name decides whether the devices share the runs.
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["laplace", ""])
 def test_runs_decide_alone_and_get_what_the_kernel_alone_gives(textured_session, arm, name):
     parts, first, fallback = with_fallback()

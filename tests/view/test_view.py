@@ -115,6 +115,7 @@ def _count(picture, ink):
     return int((np.abs(picture.astype(int) - ink).max(axis=-1) < 40).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin_in_view", [True, False])
 def test_the_import_picture_shows_the_axes_where_the_origin_is_in_view(textured_session, tmp_path, origin_in_view):
     session = _lowered(textured_session) if origin_in_view else textured_session

@@ -17,7 +17,8 @@ from bayes_body.recording.observation.frames import read_frame
 log_likelihood = jax.jit(lambda density, state: density.log_likelihood(state, state))
 
 
-@pytest.mark.parametrize("name", ["arm", "arm_markers", *(pytest.param(name, marks=pytest.mark.slow) for name in ("arm_silhouette", "arm_edges"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["arm", "arm_markers", "arm_silhouette", "arm_edges"])
 def test_a_likelihood_is_the_same_for_both(name, keypoint_session):
     definition = load_definition(name)
     walk = TermDefinition("rigid_walk", rigid_walk.Options())

@@ -190,6 +190,7 @@ def test_depths_of_several_pairs_are_each_their_own(free_parts):
     assert dict(zip(body.topology.penetration, depths.tolist(), strict=True)) == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_cheap_gradient_of_the_depths_is_the_same(free_parts):
     part = {"length": 0.4, "radii": (0.12, 0.07)}
     body = free_parts(part, part, part)

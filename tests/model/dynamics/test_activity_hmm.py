@@ -119,6 +119,7 @@ def test_a_first_pose_unlike_the_activity_leaves_features_that_are_likely(path, 
     assert np.allclose(state["features"], expected, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 def test_a_first_pose_is_begun_where_its_markers_are(path, activity, residual):
     """A pelvis that is turned by 25 degrees, with thighs and thorax that turn back, is an error of who placed its markers."""

@@ -71,6 +71,7 @@ def moved(scene):
     return jnp.asarray(np.asarray(scene.pose) + 0.03 * np.random.default_rng(5).normal(size=scene.pose.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_surface", [False, True])
 def test_points_are_where_the_rigid_parts_carry_them(scene, on_surface):
     given = scene("poon_fleet_23")

@@ -103,6 +103,7 @@ def test_equals_the_formula_marker_by_marker(x64, scene, body, noise, power):
     assert log_density(factor(scene, **options), scene.pose, seen) == pytest.approx(total, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
 def test_it_integrates_to_one_over_the_pixels_of_a_marker(x64, scene, noise):
     scene = scene("arm_4")
@@ -138,6 +139,7 @@ def log_ratios(f: Factor, other, pose, seen: MarkerEvidence) -> jax.Array:
     return jax.vmap(lambda z: log_density(f, other, z) - log_density(f, pose, z))(seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["gaussian", "student"])
 def test_what_is_drawn_has_the_distances_of_the_distribution(scene, noise):
     scene, nu, sd = scene("arm_4"), 3.0, 4.0

@@ -139,6 +139,7 @@ def test_probabilities_go_from_false_alarm_to_miss(x64, scene):
         assert 0.01 < (p[c] > 0.4).mean() < 0.5
 
 
+@pytest.mark.slow
 def test_what_is_drawn_has_the_probabilities(scene):
     scene, count = scene("arm_4"), 3000
     f = factor(scene, grid=(32, 24))

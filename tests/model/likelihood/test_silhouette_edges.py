@@ -152,6 +152,7 @@ def test_at_equal_areas_w_is_one(x64, scene):
     assert log_likelihood(man, maps=equal, gamma=5.0) == pytest.approx(float(log_likelihood(man)), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_areas_agree_at_the_pose_to_which_they_are_matched(x64, scene):
     # The camera of a man of whose silhouette the body covers four fifths; the other camera did not see the frame.
     man = scene("deutscher_31")
@@ -179,6 +180,7 @@ def test_w_is_9(x64, scene, gamma, least, covered):
     assert found == pytest.approx(expected, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_covered_cells_count_in_neither_area(x64, scene):
     man, rows = scene("deutscher_31"), np.arange(60)
     whole = area_of(man.body, man.rig, man.pose, (80, 60))
@@ -197,6 +199,7 @@ def silhouette_of(man, maps, c) -> jax.Array:
     return evaluate(factor, man.pose, jax.tree.map(lambda leaf: leaf[c : c + 1], maps))
 
 
+@pytest.mark.slow
 def test_gamma_holds_a_body_to_its_size(x64, scene):
     # Twice as far from the one camera: with silhouettes alone a small body fits inside the big one just as well.
     man = scene("deutscher_31")

@@ -51,6 +51,7 @@ def of_factors(model, data, state):
     return {name: float(value) for name, value in evaluate(model.factors, data, state).items()}
 
 
+@pytest.mark.slow
 def test_every_factor_has_the_value_of_a_body_with_these_sizes(model, data, state, keypoint_session):
     body, definition = model.body_in(state), definition_of("")
     usual = build_model(definition, keypoint_session)

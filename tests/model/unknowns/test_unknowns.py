@@ -295,6 +295,7 @@ def test_a_settled_model_has_the_values_of_a_state(model, data):
     assert float(density.log_likelihood(pose, pose)) == pytest.approx(log_likelihood(model, data, **changes), abs=1e-2)
 
 
+@pytest.mark.slow
 def test_the_jacobian_of_entries_that_share_a_push_is_that_of_all_directions(model):
     composed = [factor for factor in model.factors if isinstance(factor.log_potential, Composed)]
     state = {variable.name: value for variable, value in values(model, **{name: draw(model, name) for name in KINDS}).items()}

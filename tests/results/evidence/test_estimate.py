@@ -43,6 +43,7 @@ def test_the_interval_of_two_linear_gaussian_models_holds_the_kalman_filters_dif
     assert ((low <= exact) & (exact <= high)).sum(axis=0).min() >= 34
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sd", "runs", "least"), [(0.3, 3, 0.92), (1.0, 3, 0.88), (2.0, 5, 0.83)])
 def test_the_interval_of_log_normal_estimates_holds_the_truth(sd, runs, least):
     """Of normal log-evidences with the mean of an unbiased estimate; a bootstrap's or a jackknife's interval holds it in 0.76 with 5 runs, sd 2."""

@@ -51,6 +51,7 @@ def walk(make_run):
     return call
 
 
+@pytest.mark.slow
 def test_a_knee_at_60_degrees(walk, tmp_path, parse):
     with load_run(walk()) as run:
         export(run, "csv", tmp_path / "walk.csv")

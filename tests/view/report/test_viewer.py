@@ -228,6 +228,7 @@ def test_the_command(make_arm, capsys, tmp_path, monkeypatch):
     assert said("--draws", "-1")[0] == said("--draws", "1001")[0] == 2
 
 
+@pytest.mark.slow
 def test_several_people_in_one_scene(make_run, keypoint_session, tmp_path, capsys):
     """Each has a colour and a name, and is shown only in the frames in which the person is there."""
     run = make_run(dofs=ARM_DOFS, units=RADIANS, recording=keypoint_session)

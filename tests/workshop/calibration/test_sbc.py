@@ -154,6 +154,7 @@ def test_annealed_is_not_calibrated():
     assert coverage(found.levels[:, 0], 0.9).high < 0.6
 
 
+@pytest.mark.slow
 def test_truths_at_a_limit_are_ranked_at_random():
     """Every particle is the truth: ties only, and a uniform rank all the same."""
     problem = toys.gaussian()
