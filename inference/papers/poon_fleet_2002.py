@@ -231,7 +231,7 @@ EXPERIMENTS = (
     Experiment(
         ("along_frames",),
         along_frames,
-        ONE_FRAME | {"frames": 8, "draws": 2000, "particles": 60_000, "runs": 5, "long": 1600},
+        ONE_FRAME | {"frames": 4, "draws": 2000, "particles": 60_000, "runs": 5, "long": 1600},
         {"frame": 2, "before": 500, "frames": 2, "draws": 100, "particles": 500, "runs": 2, "long": 100},
         costly=True,
     ),
