@@ -53,7 +53,7 @@ def variance(case: Case) -> Mapping[str, Values]:
     equals = equal_computations(keys[1], density, options, sizes["draws"], sizes["runs"])
     truth = best_truth(keys[2], density, sizes["truth"], sizes["long"], starts=sizes["starts"])
     dofs = model.body.dof_names
-    # With the number of draws of the definition, which is the least of them.
+    # The fewest draws are those of the definition.
     figures, curve = figures_of(dofs, equals[0], truth), curve_of(equals, truth)
     if case.pictures is not None:
         draw_curve(case.pictures / "poon_fleet_2002_variance.png", dofs, curve)
