@@ -100,10 +100,11 @@ def anchor(row: Mapping[str, Any]) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number with three digits, without an exponent for ordinary sizes."""
+    """Return a number with three digits, or four just above 1, where R-hats are; without an exponent for ordinary sizes."""
     if value == 0 or not 1e-3 <= abs(value) < 1e6:
         return f"{value:.3g}"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{float(f'{value:.3g}'):g}"
+    digits = 4 if 1 < value < 1.1 else 3
+    return f"{value:.0f}" if abs(value) >= 100 else f"{float(f'{value:.{digits}g}'):g}"
 
 
 def with_unit(text: str, figure: Mapping[str, Any]) -> str:

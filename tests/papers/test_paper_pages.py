@@ -88,7 +88,7 @@ def test_what_a_table_says_of_a_figure():
     assert here({"status": "measured earlier"}, figure | {"values": []}) == "70 mm (earlier)"
     assert here({"status": "not measured yet"}, {"unit": "mm", "values": []}) == "not measured yet"
     assert here({"status": "not reproduced"}, {}) == "not measured"
-    assert [number(value) for value in (0, 0.00012345, 0.12345, 1234.5, 12.0)] == ["0", "0.000123", "0.123", "1234", "12"]
+    assert [number(value) for value in (0, 0.00012345, 0.12345, 1234.5, 12.0, 1.0012)] == ["0", "0.000123", "0.123", "1234", "12", "1.001"]
 
 
 @pytest.fixture
