@@ -86,7 +86,7 @@ def one_ratio(case: Case, definition: Definition) -> dict[str, float]:
         "equal evaluations": figures["ratio_median"],
         "equal seconds": figures["equal_seconds"]["ratio_median"],
         "worst dof, equal evaluations": min(ratio for ratio, _, _ in figures["per_dof"].values()),
-        "R-hat of the true mean": truth.rhat,
+        "R-hat of long chains": truth.rhat,
     }
 
 
