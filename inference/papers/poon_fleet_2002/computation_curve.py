@@ -69,6 +69,6 @@ def draw_curve(path: Path, names: Sequence[str], curve: Curve) -> None:
         axes.minorticks_off()
         axes.set_xticks(curve.evaluations, [f"{count / 1000:.3g}k" for count in curve.evaluations])
     figure.axes[0].set_ylabel("error² of the mean /\nvariance of the posterior")
-    figure.axes[0].legend(fontsize="small")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize="small")
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=100)
